@@ -237,8 +237,8 @@ def register_channels(writer: Writer, said: BodyMessages) -> dict[str, int]:
     """Numbers of a person's channels in a file, by content."""
     numbers = {}
     for name, topic in said.channels().items():
-        *schema, encoding = schema_of(name)
-        numbers[name] = writer.register_channel(topic, encoding, writer.register_schema(*schema))
+        schema, how, data, encoding = schema_of(name)
+        numbers[name] = writer.register_channel(topic, encoding, writer.register_schema(schema, how, data))
     return numbers
 
 

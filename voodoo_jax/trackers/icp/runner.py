@@ -69,7 +69,7 @@ class Runner(FrameRunner):
         seconds = np.full_like(chunk.seconds, LONG * float(self.options.prior_interval))
         measured, states = (chunk.points, seconds, features), at_rest(starts)
         asked = self._asked(body, self.options, measured, np.arange(len(at)), states, sure=False, each=True)
-        return cost_of(on_host(self.visit(*asked)[1]))[: len(at)]
+        return np.asarray(cost_of(on_host(self.visit(*asked)[1])))[: len(at)]
 
     def trials(self, body: Body, frames: list[BodyObservation], starts: list[Poses]) -> Trial:
         """Tracks some frames from every start pose, the last one first."""
