@@ -1,6 +1,6 @@
 """Messages with colour, grey, compressed or packed depth images, and their decoders: JPEG, PNG and so on, depth images
 of image_transport (compressedDepth: PNG or RVL), and plain 16-bit PNG. The number of pixels is read from the header
-before a decoder allocates memory; nothing is decompressed before somebody asks for it."""
+before a decoder allocates memory; nothing is decompressed before it is needed."""
 
 import struct
 from typing import Any
