@@ -34,7 +34,7 @@ def at(found: np.ndarray, joint: str) -> float:
     return float(np.degrees(found[0, BODY.topology.joints.index(joint)]))
 
 
-def test_nothing_is_wrong_with_standing_and_sitting():
+def test_nothing_is_wrong_with_standing_sitting_and_raised_arms():
     assert wrong_bend(BODY, rotations()).max() < 0.02
     for stance in STANCES:
         posed = in_stance(BODY, stance)

@@ -30,9 +30,16 @@ def test_joints_hold_together_and_the_feet_stay_down(stance):
     assert float(jnp.min(posed.rest.translation[:, 2])) == pytest.approx(lowest, abs=1e-5)
 
 
-def test_knees_go_forward():
-    seated = in_stance(BODY, STANCES[-1])
-    assert seated
+def test_arms_go_up_and_out_and_knees_forward():
+    left, right, both, stretched, seated = (in_stance(BODY, s) for s in STANCES)
+    assert left and right and both and stretched and seated
+    head = centre(BODY, "skullbase")[2]
+    for body, up, down in ((left, "l", "r"), (right, "r", "l")):
+        assert centre(body, f"{up}_radiocarpal")[2] > head > centre(body, f"{down}_radiocarpal")[2]
+    assert min(centre(both, f"{s}_radiocarpal")[2] for s in "lr") > head
+    for side, sign in (("l", 1), ("r", -1)):  # level with the shoulders
+        wrist, shoulder = centre(stretched, f"{side}_radiocarpal"), centre(stretched, f"{side}_shoulder")
+        assert abs(wrist[2] - shoulder[2]) < 0.1 and sign * (wrist[1] - shoulder[1]) > 0.4
     knee, hip = centre(seated, "l_knee"), centre(seated, "l_hip")
     assert knee[0] > hip[0] + 0.35 and abs(knee[2] - hip[2]) < 0.1
     assert centre(seated, "l_talocrural")[2] == pytest.approx(centre(BODY, "l_talocrural")[2], abs=0.05)

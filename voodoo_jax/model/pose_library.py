@@ -1,4 +1,4 @@
-"""Start poses besides the rest pose: sitting, curled. For bodies with such joints."""
+"""Start poses besides the rest pose: arms raised or stretched out, sitting. For bodies with such joints."""
 
 from typing import NamedTuple
 
@@ -25,8 +25,13 @@ def both(joint: str, axis: str, degrees: float) -> tuple[Turn, ...]:
     return (f"l_{joint}", axis, degrees), (f"r_{joint}", axis, -degrees if axis == "x" else degrees)
 
 
+LEFT, RIGHT = both("shoulder", "x", 170.0)
 STANCES = (
-    Stance((), (0.87,)),  # a hand may be what is highest
+    # the hand may be what is highest
+    Stance((LEFT,), (1.0, 0.87)),
+    Stance((RIGHT,), (1.0, 0.87)),
+    Stance((LEFT, RIGHT), (1.0, 0.87)),
+    Stance(both("shoulder", "x", 90.0), (1.0,)),  # as body scanners ask for
     # a seat of 45 cm: a sitting adult's head is at about 78 % of the stature; hands in the lap
     Stance(
         (*both("hip", "y", -85.0), *both("knee", "y", 85.0), *both("shoulder", "y", -25.0), *both("elbow", "y", -50.0)),

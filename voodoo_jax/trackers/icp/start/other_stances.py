@@ -1,4 +1,4 @@
-"""Compares a doubtful start with starts in other sizes, of who raises a hand or sits. Host side."""
+"""Compares a doubtful start with starts with arms raised or sitting. Host side."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -53,11 +53,11 @@ def _tall(body: Body) -> float:
 
 
 def in_stances(run: Runner, at: int) -> list[tuple[StartHypothesis, Stance]]:
-    """Starts from frame `at` of who raises a hand or sits; none for a body without these stances. The eye sees how."""
+    """Starts from frame `at` with arms raised or sitting; none for a body without these stances."""
     found, seen = [], sized_at(run, at)
     for stance in STANCES:
         # where the size is known, so is what the highest point is
-        for size in (1.0,) * bool(stance.turns) if run.sized else stance.sizes:
+        for size in (1.0,) if run.sized else stance.sizes:
             body = seen if size == 1.0 else scaled(seen, float(seen.scale) * size)
             posed = in_stance(body, stance)
             if posed is not None:
