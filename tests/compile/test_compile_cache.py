@@ -216,7 +216,7 @@ def test_what_was_not_used_for_long_goes(shared):
         keep(name, b"program")
         os.utime(shared[0] / f"program-{name}-cache", (0, 0))
     assert kept("used") == b"program"
-    cache_dir._sweep(shared[0])
+    cache_dir.sweep(shared[0])
     assert {path.name for path in shared[0].glob("*-cache")} == {"program-used-cache"}
 
 

@@ -141,7 +141,7 @@ def use_compile_cache(folder: str) -> str:
         if problem := refused(folder):
             return problem
         shared = _shared(folder)
-        _sweep(shared)
+        sweep(shared)
         own = Path(tempfile.mkdtemp(prefix=f"run-{socket.gethostname()}-{os.getpid()}-", dir=shared))
         link_all(shared, own)
     except OSError as problem:
@@ -217,7 +217,7 @@ def kept(name: str) -> bytes | None:
             with suppress(OSError):
                 data = _read(entry := _entry(folder, name))
                 with suppress(OSError):  # a folder that can only be read
-                    os.utime(entry)  # see _sweep
+                    os.utime(entry)  # see sweep
                 if hashlib.sha256(data[DIGEST:]).digest() == data[:DIGEST]:
                     return zlib.decompress(data[DIGEST:])
                 spoiled(name)
@@ -357,7 +357,7 @@ def process_runs(pid: int) -> bool:
     return True
 
 
-def _sweep(shared: Path) -> None:
+def sweep(shared: Path) -> None:
     """Removes what killed processes have left, and what has not been used for long."""
     with os.scandir(shared) as entries:
         for entry in entries:

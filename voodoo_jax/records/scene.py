@@ -1,4 +1,4 @@
-"""The scene that bodies are in, floor and walls; and somebody in a recording, with what was seen of them."""
+"""The scene that bodies are in, floor and walls; and a person in a recording, with their measurements."""
 
 from dataclasses import dataclass
 

@@ -1,8 +1,8 @@
-"""Tracks a recording again in the size that all of it tells, if that is another one than its start had. Host side.
+"""Tracks a recording again with a larger stature if frames from the whole recording support it. Host side.
 
-At the start a person is as tall as their top is high: 0.4 cm off for who stands, but too small by any amount for who is
-bent. So frames from all of the recording are solved anew in larger sizes, each for itself, and what they cost is
-compared: in a body of another size points lie farther from it.
+The start measures stature by the top of the body: within 0.4 cm for a standing person, but too small by any amount for
+a bent one. So frames from the whole recording are solved again in larger sizes, each frame separately, and their costs
+are compared: in a body of the wrong size the points are farther from the surface.
 """
 
 from dataclasses import dataclass
@@ -19,17 +19,17 @@ from voodoo_jax.trackers.icp.sequence import Whole
 from voodoo_jax.trackers.icp.stage import Stage
 from voodoo_jax.trackers.shared.runner import TRACKS
 
-# logarithm: a body costs least when it is so much larger than the person; measured in 19 tracks of simulated people
-# (experiments/people) of whom the start was right, deviation 0.010
+# logarithm: the cheapest body is larger than the person by this; measured in 19 tracks of simulated people
+# (experiments/people) with the right stature at the start, deviation 0.010
 LARGER = 0.003
 
 
 @dataclass(frozen=True)
 class FitStature:
-    """Further passes with the stature that costs least in frames of the first one, for a person of unknown stature.
+    """Further passes with the stature of least cost in frames of the pass before, for a person of unknown stature.
 
-    Half of the frames are asked, and all only if those find a larger size than the body's. Poses that were found in a
-    wrong size hold back a part of what is missing: so there may be two passes. Numbers were chosen by hand."""
+    Half of the frames are solved first, and all of them only if these support a larger size. Poses found in a wrong
+    size hide part of the error: so there may be two passes. Numbers were chosen by hand."""
 
     name: ClassVar = "fit_stature"
     looks_ahead: ClassVar = True
@@ -53,7 +53,7 @@ class FitStature:
         return whole
 
     def larger_by(self, run: Runner, segment: Segment) -> float:
-        """Logarithm of the person's size over the body's; 0 where it is not sure that it is larger."""
+        """Logarithm of the person's size over the body's; 0 where a larger size is not well supported."""
         tracked, found = np.flatnonzero(segment.tracked), 0.0
         at = tracked[np.linspace(0, len(tracked) - 1, min(TRACKS, len(tracked))).round().astype(int)]
         for some in filter(len, (at[::2], at)):
@@ -63,9 +63,9 @@ class FitStature:
         return found - LARGER
 
     def cheapest(self, run: Runner, segment: Segment, at: Int[np.ndarray, " frame"]) -> tuple[float, float]:
-        """Logarithms of the size in which some frames cost least, over the body's, and of the body's cost over theirs:
-        from size to larger size while costs fall, then where a parabola through the last three is lowest; 0 if the
-        first one costs more."""
+        """Logarithms of the size of least cost over the body's, and of the body's cost over the least cost, in some
+        frames. Sizes grow until the cost rises; then the minimum of a parabola through the last three. 0 if the first
+        larger size costs more."""
         cost = [self.cost(run, segment, at, steps) for steps in range(2)]
         while cost[-1] < cost[-2] and len(cost) <= self.most:
             cost.append(self.cost(run, segment, at, len(cost)))
@@ -76,7 +76,7 @@ class FitStature:
         return self.step * (best + 0.5 * (before - after) / (before - 2 * least + after)), gain
 
     def cost(self, run: Runner, segment: Segment, at: Int[np.ndarray, " frame"], steps: int) -> float:
-        """Logarithm of what some frames cost in a body that is larger by so many steps, on average."""
+        """Logarithm of the mean cost of some frames in a body that is larger by so many steps."""
         larger, up = np.float32(np.exp(self.step * steps)), run.scene.floor.normal
         place = segment.translation[at]
         foot = place[:, :1] - run.scene.floor.height(place[:, 0])[:, None, None] * up
