@@ -30,11 +30,15 @@ def test_the_first_lines_of_the_readme(tmp_path, monkeypatch, request):
     exec("\n".join(lines[2:]), names)
     error, here = names["error"], names["here"]
     assert 0 < error(here) < 0.03
-    # thighs that are too long, and a step so small that no point changes limbs: what is chosen is held fixed in it
-    long, step = here | {"lengths.thigh": 0.1}, 0.0002
-    slope = jax.grad(error)(long)
-    assert set(slope) == set(here) and float(error(long)) > 1.3 * float(error(here))
-    ahead, behind = (float(error(here | {"lengths.thigh": 0.1 + d})) for d in (step, -step))
-    assert float(slope["lengths.thigh"]) == pytest.approx((ahead - behind) / (2 * step), rel=0.05)
+    # thighs that are too long, and steps so small that in most places no point changes limbs: what is chosen is held
+    # fixed in a derivative, and where points change limbs depends on the processor's last digits
+    step, right = 0.00002, []
+    for size in (0.08, 0.1, 0.12):
+        slope = jax.grad(error)(here | {"lengths.thigh": size})
+        assert set(slope) == set(here)
+        ahead, behind = (float(error(here | {"lengths.thigh": size + d})) for d in (step, -step))
+        right.append(float(slope["lengths.thigh"]) == pytest.approx((ahead - behind) / (2 * step), rel=0.05))
+    assert sum(right) >= 2, right
+    assert float(error(here | {"lengths.thigh": 0.1})) > 1.3 * float(error(here))
     with pytest.raises(ValueError, match="lenghts"):
         names["vj"].solved({"lenghts.thigh": 0.0}, names["problem"])
