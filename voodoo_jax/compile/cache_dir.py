@@ -359,18 +359,13 @@ def process_runs(pid: int) -> bool:
 
 def sweep(shared: Path) -> None:
     """Removes what killed processes have left, and what has not been used for long."""
-    with os.scandir(shared) as entries:
+    with os.scandir(shared) as entries:  # once: there may be thousands
         for entry in entries:
-            with suppress(OSError):
-                if entry.name.endswith("-cache") and time.time() - entry.stat().st_mtime > UNUSED_SECONDS:
+            with suppress(OSError, ValueError):
+                age = time.time() - entry.stat(follow_symlinks=False).st_mtime
+                if entry.name.startswith("run-"):
+                    host, pid = entry.name.removeprefix("run-").rsplit("-", 2)[:2]
+                    if age > OLD_SECONDS or (host == socket.gethostname() and not process_runs(int(pid))):
+                        shutil.rmtree(entry, ignore_errors=True)
+                elif age > (OLD_SECONDS if entry.name.startswith(LOCK) else UNUSED_SECONDS):
                     os.unlink(entry)
-    for lock in shared.glob(f"{LOCK}*"):
-        with suppress(OSError):
-            if time.time() - lock.lstat().st_mtime > OLD_SECONDS:
-                lock.unlink()
-    for folder in shared.glob("run-*-*-*"):
-        host, pid = folder.name.removeprefix("run-").rsplit("-", 2)[:2]
-        with suppress(OSError, ValueError):
-            here = host == socket.gethostname() and not process_runs(int(pid))
-            if here or time.time() - folder.lstat().st_mtime > OLD_SECONDS:
-                shutil.rmtree(folder, ignore_errors=True)

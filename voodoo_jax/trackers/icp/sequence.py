@@ -1,6 +1,6 @@
 """Tracks a whole recording of depth, segment by segment, each through the stages of refinement."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -52,8 +52,10 @@ class Whole:
     def tracked_anew(
         self, stages: tuple[Stage, ...], people: list[BodyObservation] | None = None, body: Body | None = None
     ) -> "Whole":
-        """The recording tracked again, with other points on the body, or with a body whose size is known."""
-        return track_whole(self.run.anew(people, body), self.begin, self.first, self.enough, stages)
+        """The recording tracked again, with other points on the body, or with a body whose size is known; with the same
+        notes."""
+        other = track_whole(self.run.anew(people, body), self.begin, self.first, self.enough, stages)
+        return replace(other, notes=self.notes)
 
 
 @runtime_checkable

@@ -145,7 +145,7 @@ def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray,
 
 
 def track_all_named(task: Task, people: list[Subject]) -> list[Tracks]:
-    """Tracks of everybody whom names tell apart, or of as many as settings ask for."""
+    """Tracks of all people that the names distinguish, at most as many as the settings allow."""
     settings, source = task.settings, task.source
     if settings.detect.people != 1:
         people = apart_by_names(people[0], task.body.topology, settings.features)[: settings.detect.people or None]

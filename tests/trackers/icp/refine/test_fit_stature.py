@@ -35,7 +35,8 @@ def test_a_size_that_is_given_or_right_stays(tmp_path, monkeypatch):
     whole = track_whole(run, 0, 0, np.ones(12, bool), ())
     assert FitStature()(whole) is whole  # as large as it is
     monkeypatch.setattr(FitStature, "larger_by", lambda *_: 0.1)
-    larger = FitStature(passes=1)(whole)
+    larger = FitStature(passes=1)(replace(whole, notes=("of a stage before",)))
+    assert larger.notes == ("of a stage before",)
     assert float(larger.run.body.scale) == pytest.approx(1.8 * np.exp(0.1), rel=1e-5) and larger.run.known
     assert FitStature()(larger) is larger  # not again
     assert float(larger.run.anew(run.people).body.scale) == float(larger.run.body.scale)

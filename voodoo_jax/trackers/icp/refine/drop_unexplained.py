@@ -50,7 +50,7 @@ class DropUnexplained:
             left = self.without(whole.run.people, whole.run.bodies, whole.segment)
             if left is None:
                 break
-            whole = replace(whole.tracked_anew(self.among, spilled(left)), notes=(FURNITURE_NOTE,))
+            whole = replace(whole.tracked_anew(self.among, spilled(left)), notes=(*whole.notes, FURNITURE_NOTE))
         return whole
 
     def without(
