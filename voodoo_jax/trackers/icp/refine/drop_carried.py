@@ -116,8 +116,11 @@ class DropCarried:
 
 
 def unexplained(whole: Whole) -> float:
-    """Mean cost of a recording's poses beyond noise, over the frames with a cost; square metres."""
+    """Cost of a recording's poses beyond noise, median of the frames with a cost; square metres.
+
+    A carried object is there in most frames. A mean would also be high where some frames are tracked wrongly, as behind
+    another person."""
     segment = whole.segment
     there = np.isfinite(segment.residual) & (segment.explained > 0)
     noise = np.maximum([f.noise for f in whole.run.people], USUAL)
-    return float(np.mean((segment.cost - noise**2)[there])) if there.any() else 0.0
+    return float(np.median((segment.cost - noise**2)[there])) if there.any() else 0.0
