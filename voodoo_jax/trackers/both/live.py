@@ -1,4 +1,4 @@
-"""Both trackers frame by frame as frames come: what a replay with `online` says of the finished log. Host side."""
+"""Both trackers on live frames, with the same results as a replay with `online` of the finished log. Host side."""
 
 from collections import deque
 from dataclasses import replace
@@ -18,22 +18,22 @@ from voodoo_jax.trackers.icp.live import LiveTracker, joined_tracks
 
 
 class LiveBoth:
-    """Follows the main person by both trackers, and merges what they say of each frame.
+    """Tracks the main person with both trackers and merges their poses frame by frame.
 
-    **Arguments:** `first`, `scene` and `features` as for LiveTracker; `source` what the log is called. Raises
-    Unsuitable, and SettingsError for settings that need later frames.
+    **Arguments:** `first`, `scene` and `features` as for LiveTracker; `source` name of the log. Raises Unsuitable, and
+    SettingsError for settings that need later frames.
     """
 
-    # 6 parameters: those of both
+    # 6 parameters: those of both trackers
     def __init__(
         self, body: Body, settings: Settings, source: str, first: list[BodyObservation], scene: Scene, features: bool
     ):  # fmt: skip
         self._icp = LiveTracker(body, settings, first, scene, features)
         self._flexible = LiveFlexible(body, settings, source, given=True)
         self._scene, self.watched, self._settings = scene, self._flexible.watched, settings
-        self._one = replace(settings, track=replace(settings.track, chunk=1))  # of one frame
-        self._waiting: deque[tuple[BodyObservation, Tracks]] = deque()  # until the ICP tracker has the frame
-        self._recent: list[tuple[Tracks, Tracks]] = []  # of the frames over which both are compared
+        self._one = replace(settings, track=replace(settings.track, chunk=1))  # for merging one frame
+        self._waiting: deque[tuple[BodyObservation, Tracks]] = deque()  # for the ICP tracker's result
+        self._recent: list[tuple[Tracks, Tracks]] = []  # tracks over which both are compared
 
     def prepare(self) -> None:
         """Compiles or loads the programs of the ICP tracker."""
