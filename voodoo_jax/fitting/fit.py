@@ -48,20 +48,20 @@ class Found(NamedTuple):
     @property
     def starts(self) -> tuple[Body, ...]:
         """Bodies of all persons before the fit."""
-        return tuple(part.body for part in self._first())
+        return tuple(part.body for part in self._first_parts())
 
     @property
     def fitted(self) -> tuple[Body, ...]:
         """Fitted bodies of all persons."""
-        return tuple(self.search.body(self.progress.x, part) for part in self._first())
+        return tuple(self.search.body(self.progress.x, part) for part in self._first_parts())
 
     def tuned(self, settings: Settings) -> Settings:
         """The settings with the fitted options and weights."""
-        first = self._first()[0]
+        first = self._first_parts()[0]
         changes = self.search.changes(self.progress.x, first)
         return tuned_settings(settings, first.body.topology, changes, self.search.features)
 
-    def _first(self) -> list[Part]:
+    def _first_parts(self) -> list[Part]:
         """The first recording of every person."""
         return [next(p for p in self.search.parts if p.person == k) for k in range(len(self.search.rows))]
 
@@ -89,12 +89,15 @@ def fit_tracked(
     else:
         stiff = 1.0 if truths or _bands_free(search) else JUDGED
         pairs = [
-            [track_again(one, body, _stiffer(some, stiff)).tracks for body, some in ((p.body, settings), (new, tuned))]
+            [
+                track_again(one, body, _with_stiffer_bands(some, stiff)).tracks
+                for body, some in ((p.body, settings), (new, tuned))
+            ]
             for one, p in zip(seen, search.parts)
             for new in [search.body(x, p)]
         ]
         judged = [judged_by(was, now, p.person, t) for (was, now), p, t in zip(pairs, search.parts, known)]
-    sizes, usual = is_size(_all_names(search)) & ~stays, search.sd / options.looseness
+    sizes, usual = is_size(_name_entries(search)) & ~stays, search.sd / options.looseness
     verdict = verdict_on(judged, x / usual, sizes, bool(truths), bool(stays.all()))
     return fit_of(found, settings, options, judged, verdict)
 
@@ -109,7 +112,7 @@ def fit_of(found: Found, settings: Settings, options: FitSettings, judged: Seque
         for start, rows in zip(starts, search.rows)
     )
     return Fit(
-        bodies[0], bodies, fitted, starts, verdict, _all_names(search), x, np.sqrt(np.diag(found.covariance)),
+        bodies[0], bodies, fitted, starts, verdict, _name_entries(search), x, np.sqrt(np.diag(found.covariance)),
         found.spread, search.sd, found.stays, sizes, found.progress.losses, found.progress.done, tuple(judged), options,
         found.tuned(settings),
     )  # fmt: skip
@@ -126,8 +129,8 @@ def searched(
 ) -> Found:
     """Runs the search alone; arguments of `fit`."""
     tell = say or (lambda what, progress: None)
-    chosen = [chosen_frames(s.tracks, _points(s), options.frames) for s in seen]
-    search = _stiff(search_of(seen, settings, options, truths, chosen), options)
+    chosen = [chosen_frames(s.tracks, _count_points(s), options.frames) for s in seen]
+    search = _stiffen_bands(search_of(seen, settings, options, truths, chosen), options)
     size = len(search.sd)
     mark = _fingerprint(search, options)
     progress = (load_progress(state, mark) if state is not None else None) or Progress(np.zeros(size))
@@ -153,14 +156,14 @@ def searched(
         parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
         search, progress = replace(search, parts=parts), replace(progress, done=False)
     # weakly determined sizes keep their start values, and the others are fitted again
-    stays = weakly_determined(_all_names(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
+    stays = weakly_determined(_name_entries(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
     if stays.any():
         progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
         progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)
     return Found(search, progress, cov, apart, stays)
 
 
-def _stiff(search: Search, options: FitSettings) -> Search:
+def _stiffen_bands(search: Search, options: FitSettings) -> Search:
     """The search with stiffer bands, unless they are free."""
     ratio = search.options.ratio * (1.0 if _bands_free(search) else options.stiffness)
     return replace(search, options=eqx.tree_at(lambda o: o.ratio, search.options, ratio))
@@ -170,11 +173,11 @@ def _bands_free(search: Search) -> bool:
     return any(n.startswith(("bands.", "solve.")) for n in search.free.names)
 
 
-def _stiffer(settings: Settings, times: float) -> Settings:
+def _with_stiffer_bands(settings: Settings, times: float) -> Settings:
     return replace(settings, solve=replace(settings.solve, ratio=settings.solve.ratio * times))
 
 
-def _points(seen: Seen) -> Int[np.ndarray, " frame"]:
+def _count_points(seen: Seen) -> Int[np.ndarray, " frame"]:
     """Number of points on the person in each frame."""
     return np.array([len(frame.points) for frame in seen.people], int)
 
@@ -200,7 +203,7 @@ def search_of(
     chosen: Sequence[Int[np.ndarray, " chosen"]] = (),
 ) -> Search:
     """Sets up the search: free parameters, priors, and the `chosen` frames of each recording, or well tracked ones."""
-    chosen = chosen or [chosen_frames(s.tracks, _points(s), options.frames) for s in seen]
+    chosen = chosen or [chosen_frames(s.tracks, _count_points(s), options.frames) for s in seen]
     body = seen[0].tracks.body
     names = tuple(sorted({n for s in seen for n in feature_names(s.people, body.topology, settings.features)}))
     free = parameters(body, options.free, names, options.mirrored)
@@ -236,7 +239,7 @@ def search_of(
     return Search(free, tuple(parts), icp, objective, tuple(rows), sd, centre, held, options.noise, names)
 
 
-def _all_names(search: Search) -> tuple[str, ...]:
+def _name_entries(search: Search) -> tuple[str, ...]:
     """Names of all entries of the vector; with several persons, those of one person end in the person's number."""
     out, persons = [""] * len(search.sd), len(search.rows)
     for person, rows in enumerate(search.rows):

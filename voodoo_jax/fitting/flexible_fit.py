@@ -156,7 +156,7 @@ class FlexibleSearch:
             here = jnp.asarray(x[self.rows[part.person]], jnp.float32)
             sums = compiled_sums()(part.body, part.frames, here, maps, self.legs_apart, self.objective)
             found.append(jax.tree.map(lambda a: np.asarray(a, np.float64), sums))
-            loss += self._share() * float(found[-1].cost.sum())
+            loss += self._weigh() * float(found[-1].cost.sum())
             if self.objective == "held":
                 loss += 0.5 * height_misfit(part.body, self.free, x[self.rows[part.person]])[0] ** 2
         if not np.isfinite(loss):
@@ -169,7 +169,7 @@ class FlexibleSearch:
         slope, curve = (x - self.centre) / self.sd**2, np.zeros((len(x), len(x)))
         for part, sums in zip(self.parts, here.found):
             rows, there = self.rows[part.person], np.arange(len(sums.cost)) * LEFT_OUT // len(sums.cost) != without
-            share = self._share() * len(there) / there.sum()
+            share = self._weigh() * len(there) / there.sum()
             slope[rows] += share * sums.slope[there].sum(0)
             curve[np.ix_(rows, rows)] += share * sums.curve[there].sum(0)
             if self.objective == "held":
@@ -186,7 +186,7 @@ class FlexibleSearch:
         """The body of a recording at x."""
         return changed(part.body, self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32)))
 
-    def _share(self) -> float:
+    def _weigh(self) -> float:
         return (POINT_SD / self.noise) ** 2 if self.objective == "held" else 1.0
 
 
@@ -220,7 +220,7 @@ def fit_flexible(
     with ExitStack() as opened:
         seen = [watched(body, log, settings, opened, tell) for log in logs]
         search = search_of(body, seen, settings, options, free, known)
-        progress, place = _searched(search, options, state, tell)
+        progress, place = _run_saved_search(search, options, state, tell)
         cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
         stays = weakly_determined(free.names * len(search.rows), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
         if stays.any():  # weakly determined sizes keep their start values, and the others are fitted again
@@ -230,7 +230,7 @@ def fit_flexible(
         judged = []
         for one, part, truth in zip(seen, search.parts, known):
             new = part.body if stays.all() else search.body(progress.x, part)
-            before, after = (_again(one, body, settings) for body in (part.body, new))
+            before, after = (_track_again(one, body, settings) for body in (part.body, new))
             judged.append(judged_by(before, after, part.person, truth))
     sizes = is_size(free.names * len(search.rows)) & ~stays
     usual = search.sd / options.looseness
@@ -277,7 +277,7 @@ def observed_log(
     return source, observed
 
 
-def _again(one: Watched, body: Body, settings: Settings):
+def _track_again(one: Watched, body: Body, settings: Settings):
     """Tracks a recording with a body of known size."""
     known = replace(settings, start=replace(settings.start, scale=float(body.scale)))
     return followed(body, one.observed, known, one.name, one.fixed_frame).tracks
@@ -349,7 +349,7 @@ def frames_of(
     )  # fmt: skip
 
 
-def _searched(
+def _run_saved_search(
     search: FlexibleSearch, options: FitSettings, state: str | os.PathLike[str] | None,
     tell: Callable[[str, Progress | None], None],
 ) -> tuple[Progress, Place]:  # fmt: skip

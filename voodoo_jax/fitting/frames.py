@@ -132,7 +132,7 @@ def fit_frames(
             rays = [i for i in range(len(frame.rays.names)) if (i + number) % 2 == k]
             pairs = [i for i in range(len(frame.pairs.names)) if (k == 1 if markers else (i + number) % 2 == k)]
             part = frame.only(mask)
-            parts.append(replace(part, rays=_some_rays(frame.rays, rays), pairs=_some_pairs(frame.pairs, pairs)))
+            parts.append(replace(part, rays=_select_rays(frame.rays, rays), pairs=_select_pairs(frame.pairs, pairs)))
         solve.append(parts[0])
         judge.append(parts[1])
     sensors, capacity = len(people[0].origins), bucket(points)
@@ -143,13 +143,13 @@ def fit_frames(
     numbered = FeatureNames(tracks.body.topology, features)
     for row, name in enumerate(names, 1):
         numbered.weights[numbered.plain(name)] = float(row)
-    rows = pad_features([_unweighted(f) for f in solve], count, room, numbered, choices)
+    rows = pad_features([_drop_weights(f) for f in solve], count, room, numbered, choices)
     known = None
     if truth is not None:
         known = truth_at(truth, [people[i].time_ns for i in at], tracks.body.topology, count)
         known[: len(at)] -= placed_by(tracks, at)
     origins = np.stack([people[i].origins.mean(0) for i in at])
-    poses = _padded(Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at])), count)
+    poses = _pad(Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at])), count)
     return FitFrames(
         points=pad_frames(solve, capacity, count, None, sensors).points,
         held=pad_frames(judge, capacity, count, None, sensors).points,
@@ -214,20 +214,20 @@ def truth_at(truth: Truth, stamps: list[int], topology: Topology, count: int) ->
     return out
 
 
-def _padded(poses: Poses, count: int) -> Poses:
+def _pad(poses: Poses, count: int) -> Poses:
     """Poses padded to `count` frames by the last one."""
     return jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], count - len(x), 0)]), poses)
 
 
-def _some_rays(rays: Rays, rows: list[int]) -> Rays:
+def _select_rays(rays: Rays, rows: list[int]) -> Rays:
     weights = None if rays.weights is None else rays.weights[rows]
     return Rays(tuple(rays.names[i] for i in rows), rays.origins[rows], rays.directions[rows], weights)
 
 
-def _some_pairs(pairs: Pairs, rows: list[int]) -> Pairs:
+def _select_pairs(pairs: Pairs, rows: list[int]) -> Pairs:
     weights = None if pairs.weights is None else pairs.weights[rows]
     return Pairs(tuple(pairs.names[i] for i in rows), pairs.points[rows], weights)
 
 
-def _unweighted(frame: BodyObservation) -> BodyObservation:
+def _drop_weights(frame: BodyObservation) -> BodyObservation:
     return replace(frame, rays=replace(frame.rays, weights=None), pairs=replace(frame.pairs, weights=None))

@@ -90,7 +90,7 @@ def compiled_normals() -> Callable[..., Normals]:
 
 
 @eqx.filter_jit
-def _height_off(body: Body, x, maps) -> tuple[Array, Array]:
+def _compute_height_error(body: Body, x, maps) -> tuple[Array, Array]:
     """Logarithm of the changed body's height over the measured height, and its derivative."""
     measured = height_ratio(body) * body.scale
     return jax.value_and_grad(lambda x: jnp.log(height_of(changed(body, changes_at(maps, x))) / measured))(x)
@@ -104,7 +104,7 @@ def height_misfit(
     if body.scale_name != "stature":
         return 0.0, np.zeros(len(x))
     maps = tuple(jnp.asarray(m, jnp.float32) for m in free.maps)
-    off, slope = _height_off(body, jnp.asarray(x, jnp.float32), maps)
+    off, slope = _compute_height_error(body, jnp.asarray(x, jnp.float32), maps)
     return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT
 
 
@@ -127,10 +127,10 @@ class Search:
         """height_misfit of the body of a recording at x."""
         return height_misfit(part.body, self.free, x[self.rows[part.person]])
 
-    def _prior(self, x: Float64[np.ndarray, " all"]) -> float:
+    def _compute_prior_loss(self, x: Float64[np.ndarray, " all"]) -> float:
         return 0.5 * float(np.sum(((x - self.centre) / self.sd) ** 2))
 
-    def _share(self, part: Part, good: np.ndarray) -> float:
+    def _weigh(self, part: Part, good: np.ndarray) -> float:
         """Weight of the squared deviations of a recording's frames."""
         # frames that do not come to rest are replaced by a higher weight of the others, so that losses compare
         return float(np.asarray(part.frames.weight).sum()) / max(int(good.sum()), 1) * (POINT_SD / self.noise) ** 2
@@ -141,7 +141,7 @@ class Search:
 
     def place(self, x: Float64[np.ndarray, " all"], starts: tuple[Poses, ...] = ()) -> Place:
         """Solves all frames at x; FitError if too few of them come to rest."""
-        loss = self._prior(x)
+        loss = self._compute_prior_loss(x)
         all_found = []
         for part, start in zip(self.parts, starts or tuple(p.frames.poses for p in self.parts)):
             found = compiled_placed()(part.body, self.options, part.frames, start, *self._inputs(x, part))
@@ -151,7 +151,7 @@ class Search:
                     f"{part.name}: only {good.sum()} of {wanted:.0f} frames come to rest; more steps may help "
                     "(--fit.steps), or the log is not tracked well: look at it with voodoo-jax replay --picture"
                 )
-            loss += self._share(part, good) * float(np.asarray(found.cost, np.float64).sum())
+            loss += self._weigh(part, good) * float(np.asarray(found.cost, np.float64).sum())
             if self.objective == "held":
                 loss += 0.5 * self.height(x, part)[0] ** 2
             all_found.append(found)
@@ -163,7 +163,7 @@ class Search:
         slope, curve = (x - self.centre) / self.sd**2, np.zeros((len(x), len(x)))
         for part, found, good in zip(self.parts, here.found, here.at_rest):
             there = good & (np.arange(len(good)) * PARTS // len(good) != without)
-            rows, share = self.rows[part.person], self._share(part, there)
+            rows, share = self.rows[part.person], self._weigh(part, there)
             sums = compiled_normals()(part.body, self.options, part.frames, found, *self._inputs(x, part))
             slope[rows] += share * np.asarray(sums.slope, np.float64)[there].sum(0)
             curve[np.ix_(rows, rows)] += share * np.asarray(sums.curve, np.float64)[there].sum(0)
@@ -190,10 +190,10 @@ class Search:
 
     def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float:
         """Decrease of the loss from x to `other`, over frames that are at rest in both."""
-        out = self._prior(x) - self._prior(other)
+        out = self._compute_prior_loss(x) - self._compute_prior_loss(other)
         for k, part in enumerate(self.parts):
             both = here.at_rest[k] & there.at_rest[k]
-            out += self._share(part, both) * float((here.costs[k] - there.costs[k])[both].sum())
+            out += self._weigh(part, both) * float((here.costs[k] - there.costs[k])[both].sum())
             if self.objective == "held":
                 out += 0.5 * (self.height(x, part)[0] ** 2 - self.height(other, part)[0] ** 2)
         return out

@@ -89,7 +89,7 @@ def judged_by(before: Tracks, after: Tracks, person: int, truth: Truth | None = 
         with np.errstate(invalid="ignore"):
             return np.bincount(run[there], values[there].astype(np.float64), RUNS) / np.where(seen > 0, seen, np.nan)
 
-    joints = [_off(tracks, truth) for tracks in (before, after)]
+    joints = [_measure_errors(tracks, truth) for tracks in (before, after)]
     held = np.arange(RUNS) % EVERY > 0
     points = [np.sqrt(means(tracks.evidence.residual**2)) for tracks in (before, after)]
     lost = int(before.tracked.sum()) - int(after.tracked.sum())
@@ -97,7 +97,7 @@ def judged_by(before: Tracks, after: Tracks, person: int, truth: Truth | None = 
     return Judged(name, person, held, points[0], points[1], means(joints[0]), means(joints[1]), lost)
 
 
-def _off(tracks: Tracks, truth: Truth | None) -> Float64[np.ndarray, " frame"]:
+def _measure_errors(tracks: Tracks, truth: Truth | None) -> Float64[np.ndarray, " frame"]:
     """Mean distance of each frame's joints from the truth, metres; NaN without a truth."""
     out = np.full(len(tracks.time_ns), np.nan)
     if truth is None:

@@ -77,11 +77,11 @@ class loss:  # noqa: N801 (a namespace: vj.loss.joints)
 
         The pose is solved on the other half, with exact derivatives by the whole body (solve/implicit.py).
         """
-        return _reprojection()(body, frame)
+        return _compile_reprojection()(body, frame)
 
 
 @cache
-def _reprojection() -> Callable[[Body, LossFrame], Float[Array, ""]]:
+def _compile_reprojection() -> Callable[[Body, LossFrame], Float[Array, ""]]:
     """The compiled loss: without compiling, its derivative takes a minute."""
 
     def loss(body: Body, frame: LossFrame) -> Float[Array, ""]:

@@ -85,7 +85,7 @@ def frame_residuals(
     return jnp.concatenate(parts)
 
 
-def _robust(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
+def _apply_robust_loss(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
     """Vectors whose squares are Geman and McClure's loss of the given vectors."""
     return gap * jnp.sqrt(geman_mcclure_root(jnp.sum(gap * gap, -1, keepdims=True), scale))
 
@@ -111,7 +111,7 @@ def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: P
     # a limb counts as PER_LIMB independent measurements for any number of points, but less with few points
     count = jax.ops.segment_sum(there.astype(gap.dtype), limbs, body.limb_count + 1)
     share = PER_LIMB * jnp.append(frame.news, 0.0) / (count + FEW)
-    return (_robust(gap, ROBUST) * jnp.sqrt(share)[limbs][:, None] / POINT_SD).reshape(-1)
+    return (_apply_robust_loss(gap, ROBUST) * jnp.sqrt(share)[limbs][:, None] / POINT_SD).reshape(-1)
 
 
 def _closest(sizes, poses: Poses, frame: FitFrames, options: IcpOptions, body: Body) -> Int[Array, " point"]:
@@ -129,7 +129,7 @@ def _ray_residuals(body: Body, features: Features, poses: Poses) -> Float[Array,
     # features that may be face or hand do not judge
     sure = jnp.all(features.point == features.point[:, :1], -1) & (features.weight > 0)
     gap = jnp.where(sure[:, None], gap, 0.0)
-    return (_robust(gap, 3 * ROBUST) / RAY_SD).reshape(-1)
+    return (_apply_robust_loss(gap, 3 * ROBUST) / RAY_SD).reshape(-1)
 
 
 class Placed(NamedTuple):

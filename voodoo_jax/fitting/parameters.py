@@ -96,7 +96,7 @@ def changes_at(maps: Maps, x: Float[Array, " free"]) -> Changes:
     return Changes(*(jnp.sum(jnp.asarray(m, x.dtype) * x, -1) for m in maps))
 
 
-def _modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:
+def _list_modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:
     """The entries that each mode of a body changes, with the amount in place of the sign."""
     found = {}
     for mode in body.modes:
@@ -106,7 +106,7 @@ def _modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:
     return found
 
 
-def _all_names(
+def _list_entries(
     topology: Topology, features: tuple[str, ...], axes: Bool[np.ndarray, "joint 2"], sensors: int = 0
 ) -> list[Entry]:
     """Name, field of Changes, index in it, sign under mirroring, and key of the prior, for every possible parameter;
@@ -150,15 +150,15 @@ def parameters(
     **Arguments:** `features` names of the measured features; `mirrored` left and right share one parameter, whose name
     has no side. Raises ValueError for a pattern without a match.
     """
-    known = _all_names(body.topology, features, np.asarray(body.axes) > 0, sensors)
-    modes = _modes(body, known)
+    known = _list_entries(body.topology, features, np.asarray(body.axes) > 0, sensors)
+    modes = _list_modes(body, known)
     reported = tuple(f"lengths.{limb}" for limb in segment_limbs(body.topology))
     words = WORDS | {"segments": reported or WORDS["lengths"]}
     if not modes:
         words["shape"] = words["segments"]
     patterns = [p for word in free for p in (words.get(word) or (word,))]
     for pattern in patterns:
-        if not any(_named(name, pattern) for name in (*modes, *(name for name, *_ in known))):
+        if not any(_matches(name, pattern) for name in (*modes, *(name for name, *_ in known))):
             groups = ", ".join(words)
             examples = ", ".join([known[1][0], known[-1][0]])
             raise ValueError(
@@ -167,15 +167,15 @@ def parameters(
             )
     rows: dict[str, list[Entry]] = {}
     for entry in known:
-        if any(_named(entry[0], p) for p in patterns):
+        if any(_matches(entry[0], p) for p in patterns):
             name = entry[0]
             if mirrored:
                 name = ".".join(map(without_side, name.split(".")))
                 if entry[1] == 3 and entry[0] == name and name.endswith(".y"):
                     continue  # joints in the middle stay there
             rows.setdefault(name, []).append(entry)
-    rows |= {name: entries for name, entries in modes.items() if any(_named(name, p) for p in patterns)}
-    maps = [np.zeros((*shape, len(rows))) for shape in _shapes(body.topology, len(features), sensors)]
+    rows |= {name: entries for name, entries in modes.items() if any(_matches(name, p) for p in patterns)}
+    maps = [np.zeros((*shape, len(rows))) for shape in _list_shapes(body.topology, len(features), sensors)]
     for column, entries in enumerate(rows.values()):
         for _, part, index, sign, _ in entries:
             maps[part][(*index, column)] = sign if mirrored or entries[0][4] == "shape" else 1.0
@@ -183,7 +183,7 @@ def parameters(
     return Parameters(tuple(rows), sd, tuple(maps), mirrored)
 
 
-def _shapes(t: Topology, features: int, sensors: int) -> list[tuple[int, ...]]:
+def _list_shapes(t: Topology, features: int, sensors: int) -> list[tuple[int, ...]]:
     """Shapes of the fields of Changes."""
     joints = len(t.joints)
     return [
@@ -205,7 +205,7 @@ def segment_limbs(topology: Topology) -> list[str]:
 
 
 @cache
-def _people() -> Body:
+def _load_people() -> Body:
     """The body with usual proportions, on the host, since arrays of a traced call must not be cached."""
     from voodoo_jax.model.body_file import load_on_host
 
@@ -215,7 +215,7 @@ def _people() -> Body:
 def _is_person(body: Body) -> bool:
     """Whether people's proportions apply to a body: it has a person's limbs, and perhaps held objects."""
     limbs = [limb for i, limb in enumerate(body.topology.limbs) if i not in body.topology.held]
-    return body.scale_name == "stature" and limbs == list(_people().topology.limbs)
+    return body.scale_name == "stature" and limbs == list(_load_people().topology.limbs)
 
 
 def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
@@ -223,7 +223,7 @@ def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
     stature, so that a wrong body file does not affect them."""
     centre = np.zeros(len(free.names))
     if _is_person(body):
-        own, people = on_host(body), _people()
+        own, people = on_host(body), _load_people()
         there = [body.topology.limbs.index(limb) for limb in people.topology.limbs]
         share = np.zeros(body.limb_count)
         usual, has = (np.asarray(b.sizes)[:, 4] / float(b.scale) for b in (people, own))
@@ -241,7 +241,7 @@ def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
 @cache
 def _people_height() -> float:
     with jax.ensure_compile_time_eval():
-        return float(height_of(on_device(_people()))) / float(_people().scale)
+        return float(height_of(on_device(_load_people()))) / float(_load_people().scale)
 
 
 def height_ratio(body: Body) -> Float[Array, ""] | float:
@@ -249,7 +249,7 @@ def height_ratio(body: Body) -> Float[Array, ""] | float:
     return _people_height() if _is_person(body) else height_of(body) / body.scale
 
 
-def _named(name: str, pattern: str) -> bool:
+def _matches(name: str, pattern: str) -> bool:
     """Whether a pattern matches a parameter's full name or its name without side."""
     return fnmatchcase(name, pattern) or fnmatchcase(".".join(map(without_side, name.split("."))), pattern)
 
@@ -330,11 +330,11 @@ def named_changes(
     """The changes of values by name; a name without side sets both sides. Raises ValueError for a name that the body
     does not have."""
     t = body.topology
-    known = _all_names(t, features, np.ones((len(t.joints), 2), bool), sensors)  # a joint without an axis gets none
-    modes = _modes(body, known)
-    parts = [jnp.zeros(shape, body.sizes.dtype) for shape in _shapes(t, len(features), sensors)]
+    known = _list_entries(t, features, np.ones((len(t.joints), 2), bool), sensors)  # a joint without an axis gets none
+    modes = _list_modes(body, known)
+    parts = [jnp.zeros(shape, body.sizes.dtype) for shape in _list_shapes(t, len(features), sensors)]
     for name, value in values.items():
-        said = modes.get(name) or [entry for entry in known if name in (entry[0], _sideless(entry[0]))]
+        said = modes.get(name) or [entry for entry in known if name in (entry[0], _remove_side(entry[0]))]
         if not said:
             examples = ", ".join((known[1][0], known[-1][0]))
             raise ValueError(f"parameter '{name}': this body has nothing of that name, but for example {examples}")
@@ -343,7 +343,7 @@ def named_changes(
     return Changes(*parts)
 
 
-def _sideless(name: str) -> str:
+def _remove_side(name: str) -> str:
     return ".".join(map(without_side, name.split(".")))
 
 

@@ -87,7 +87,7 @@ def problem(
     names = feature_names(people, tracks.body.topology, settings.features)
     placed = np.zeros((count, len(tracks.body.topology.centres), 3), np.float32)
     placed[: len(at)] = np.nan_to_num(placed_by(tracks, at))
-    found = fit_frames(_whole(tracks), people, at, settings.features, names, count, points, known)
+    found = fit_frames(_fill_poses(tracks), people, at, settings.features, names, count, points, known)
     seconds = np.zeros(count, np.float32)
     seconds[1 : len(at)] = np.diff([people[i].time_ns for i in at]) / 1e9
     options = options_from(settings.solve, settings.track, settings.features)
@@ -95,7 +95,7 @@ def problem(
     return Problem(tracks.body, options, found, *known_there, names)
 
 
-def _whole(tracks):
+def _fill_poses(tracks):
     """Tracks with missing poses filled from the previous frame; they serve only as starts."""
     lost = ~(np.isfinite(tracks.rotation).all((1, 2)) & np.isfinite(tracks.translation).all((1, 2)))
     if not lost.any():
@@ -119,11 +119,11 @@ def solved(parameters: Named | Body, problem: Problem) -> Tracked:
 
     Raises ValueError for a name that the body does not have.
     """
-    return _solve()(parameters, problem)
+    return _compile()(parameters, problem)
 
 
 @cache
-def _solve():
+def _compile():
     """The compiled function: without compiling it takes a minute."""
 
     def solve(parameters: Named | Body, problem: Problem) -> Tracked:

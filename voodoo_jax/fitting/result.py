@@ -59,21 +59,21 @@ class Fit:
         return [name for name, stays in zip(self.names, self.stays) if stays]
 
 
-def _table(head: list[str], rows: list[list[str]]) -> str:
+def _format_table(head: list[str], rows: list[list[str]]) -> str:
     lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def _cm(value: float) -> str:
+def _format_cm(value: float) -> str:
     return f"{100 * value:.2f}" if np.isfinite(value) else "-"
 
 
-def _interval(size: Size) -> str:
+def _format_interval(size: Size) -> str:
     reach = 1.96 * size.sd
-    return f"{_cm(size.after - reach)} .. {_cm(size.after + reach)}" if np.isfinite(reach) else "-"
+    return f"{_format_cm(size.after - reach)} .. {_format_cm(size.after + reach)}" if np.isfinite(reach) else "-"
 
 
-def _before_and_after(judged: Sequence[Judged]) -> list[str]:
+def _tabulate_errors(judged: Sequence[Judged]) -> list[str]:
     """Errors of points and joints, by recording."""
     rows = []
     for j in judged:
@@ -81,13 +81,13 @@ def _before_and_after(judged: Sequence[Judged]) -> list[str]:
         for word, mask in (("left out", j.held),) if left_out else (("fitted", ~j.held), ("held back", j.held)):
             columns = [v[mask] for v in (j.before, j.after, j.joints_before, j.joints_after)]
             values = [float(np.nanmean(v)) if np.isfinite(v).any() else float("nan") for v in columns]
-            rows.append([f"{j.name}, {word}", str(int(np.isfinite(j.after[mask]).sum())), *map(_cm, values)])
+            rows.append([f"{j.name}, {word}", str(int(np.isfinite(j.after[mask]).sum())), *map(_format_cm, values)])
     head = ["log", "runs of time", "points off, before, cm", "after, cm", "joints off, before, cm", "after, cm"]
     how = "two of three runs of time were held back from the fit, and judge it."
     if judged and judged[0].held.all():
         how = "each log was left out of the fit that it judges."
     text = f"The whole log, tracked with the body before and with the fitted body; {how}\n"
-    return ["## Before and after\n", text, _table(head, rows)]
+    return ["## Before and after\n", text, _format_table(head, rows)]
 
 
 def report_text(fit: Fit) -> str:
@@ -95,7 +95,7 @@ def report_text(fit: Fit) -> str:
     out = ["# Fit of a body\n", fit.verdict.why + "\n"]
     ended = "stopped by itself" if fit.finished else "was ended by its limit of steps: more may gain something"
     out.append(f"{len(fit.losses) - 1} steps, loss {fit.losses[0]:.1f} to {fit.losses[-1]:.1f}; it {ended}.\n")
-    out += _before_and_after(fit.judged)
+    out += _tabulate_errors(fit.judged)
     if fit.sizes:
         out.append("## Sizes\n")
         out.append(
@@ -106,8 +106,8 @@ def report_text(fit: Fit) -> str:
         if len(fit.fitted) > 1:
             names = ", ".join(j.name for j in fit.judged if j.person == k)
             out.append(f"### Person {k + 1} ({names})\n")
-        rows = [[s.name, _cm(s.before), _cm(s.after), _interval(s)] for s in sizes]
-        out.append(_table(["size", "before, cm", "fitted, cm", "95 % interval, cm"], rows))
+        rows = [[s.name, _format_cm(s.before), _format_cm(s.after), _format_interval(s)] for s in sizes]
+        out.append(_format_table(["size", "before, cm", "fitted, cm", "95 % interval, cm"], rows))
     rows = []
     for name, x, sd, apart, prior, stays in zip(fit.names, fit.x, fit.sd, fit.spread, fit.prior_sd, fit.stays):
         interval, parts, share = "-", "-", "-"
@@ -125,7 +125,7 @@ def report_text(fit: Fit) -> str:
         "parameter.\n"
     )
     head = ["parameter", "change", "95 % interval", "prior's deviation", "between parts", "from the data"]
-    out.append(_table(head, rows))
+    out.append(_format_table(head, rows))
     if weak := fit.undetermined():
         out.append(f"The data say too little about: {', '.join(weak)}. These parameters keep their start values.\n")
     return "\n".join(out)
@@ -139,12 +139,12 @@ def write_report(fit: Fit, path: str | os.PathLike[str]) -> tuple[Path, Path, Pa
     with replacing(text) as partial:
         partial.write_text(report + f"\n![loss and parameters]({drawn.name})\n", encoding="utf-8")
     with replacing(drawn) as partial:
-        _figure(fit).savefig(partial, format="png", dpi=100)
+        _draw(fit).savefig(partial, format="png", dpi=100)
     write_fit_page(report, list(zip(fit.starts, fit.fitted)), drawn.read_bytes(), page)
     return text, drawn, page
 
 
-def _figure(fit: Fit) -> "Figure":
+def _draw(fit: Fit) -> "Figure":
     """Loss over steps, and parameters with their intervals."""
     from matplotlib.figure import Figure
 

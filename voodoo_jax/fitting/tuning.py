@@ -93,7 +93,7 @@ def tune(
     names, sd = known.names, known.sd.astype(np.float32)
     begun = jnp.array([(start or {}).get(name, 0.0) for name in names], jnp.float32)
     seen: list[tuple[float, dict[str, float]]] = []
-    groups = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in _alike(some)]
+    groups = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in _group_by_shape(some)]
 
     def heard(z: Any, value: Any) -> np.float32:
         found = dict(zip(names, (np.asarray(begun) + sd * MOST * np.tanh(np.asarray(z) / MOST)).tolist()))
@@ -102,26 +102,26 @@ def tune(
             say(*seen[-1])
         return np.float32(seen[0][0])
 
-    number = max(_HEARD, default=0) + 1
-    _HEARD[number] = heard
+    number = max(_CALLBACKS, default=0) + 1
+    _CALLBACKS[number] = heard
     try:
-        found = _search(names, loss, steps)(
+        found = _compile_search(names, loss, steps)(
             jnp.zeros_like(begun), (groups, begun, sd, np.float32(pull), np.int32(number))
         )
         jax.effects_barrier()
     finally:
-        del _HEARD[number]
+        del _CALLBACKS[number]
     best = min(seen, key=lambda one: one[0] if np.isfinite(one[0]) else np.inf)
     done = found.result == optx.RESULTS.successful
     return Tuned(best[1], some, tuple(value for value, _ in seen), bool(done))
 
 
 # callbacks of running searches: called with each evaluation, they return the loss of the first one
-_HEARD: dict[int, Callable[[Any, Any], np.float32]] = {}
+_CALLBACKS: dict[int, Callable[[Any, Any], np.float32]] = {}
 
 
 @cache
-def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., optx.Solution]:
+def _compile_search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., optx.Solution]:
     """The search, compiled once for all problems of equal number and shapes."""
 
     def function(z: Float[Array, " free"], args: Any) -> Float[Array, ""]:
@@ -140,7 +140,7 @@ def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., opt
         value = jnp.mean(each)
         told = jax.lax.stop_gradient((number, z, value))
         first = io_callback(
-            lambda number, *told: _HEARD[int(number)](*told), jnp.zeros((), value.dtype), *told, ordered=True
+            lambda number, *told: _CALLBACKS[int(number)](*told), jnp.zeros((), value.dtype), *told, ordered=True
         )
         return SCALE * (value / jnp.maximum(first, 1e-12) + 0.5 * pull * jnp.sum((x / sd) ** 2))
 
@@ -151,7 +151,7 @@ def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., opt
     return quickly(search)
 
 
-def _alike(problems: tuple[Problem, ...]) -> list[list[Problem]]:
+def _group_by_shape(problems: tuple[Problem, ...]) -> list[list[Problem]]:
     """Problems grouped by shape."""
     found: dict[Any, list[Problem]] = {}
     for one in problems:

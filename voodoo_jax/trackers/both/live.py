@@ -43,13 +43,13 @@ class LiveBoth:
         """Adds one frame; returns tracks of one frame each, for the frames that are final now, in order."""
         self._scene = scene
         self._waiting.append((frame, self._flexible.add(frame, scene)[0]))
-        return [self._merged(icp) for icp in self._icp.add(frame, scene)]
+        return [self._merge(icp) for icp in self._icp.add(frame, scene)]
 
     def end(self) -> list[Tracks]:
         """Ends the input; returns the frames that waited for more."""
-        return [self._merged(icp) for icp in self._icp.end()]
+        return [self._merge(icp) for icp in self._icp.end()]
 
-    def _merged(self, icp: Tracks) -> Tracks:
+    def _merge(self, icp: Tracks) -> Tracks:
         frame, flexible = self._waiting.popleft()
         if flexible.joint_confidence is None:
             flexible = replace(flexible, joint_confidence=np.full(flexible.joints.shape[:2], np.nan, np.float32))

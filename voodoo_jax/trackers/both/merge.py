@@ -73,10 +73,10 @@ def merged(
         return out
     joints = hung(icp, flexible, choice.share)
     rotation, translation = posed(icp, flexible, choice.share, joints)
-    limb_covariance, joint_covariance = _spread(icp, choice)
+    limb_covariance, joint_covariance = _widen_covariances(icp, choice)
     fit = misfit(icp.body, rotation, translation, people)
     status = np.where(choice.share.mean(1) > 0.5, flexible.status, icp.status)  # of the tracker with the larger share
-    beyond, depth = _implausible(icp.body, rotation, translation, chunk)
+    beyond, depth = _measure_implausibility(icp.body, rotation, translation, chunk)
     return out.having(
         joints=joints, rotation=rotation, translation=translation, limb_covariance=limb_covariance,
         joint_covariance=joint_covariance, joint_confidence=choice.right, limb_beside=fit.beside,
@@ -93,11 +93,11 @@ def chosen(icp: Tracks, flexible: Tracks, ahead: bool = True) -> Choice:
     known = np.isfinite(icp.joints).all(-1) & np.isfinite(flexible.joints).all(-1)
     usable = known.sum(1) == known.sum(1).max(initial=0)  # frames in which both have all joints that they ever have
     gap = np.where(known, np.linalg.norm(np.nan_to_num(icp.joints - flexible.joints), axis=-1), 0.0)
-    said = [_said(each).astype(float) for each in (icp, flexible)]
+    said = [_read_confidence(each).astype(float) for each in (icp, flexible)]
     chains = [[names.index(name) for name in chain] for chain in CHAINS]
     moved = [row for chain in chains for row in chain[1:]]
 
-    def supposed(rows: list[int]) -> Float[np.ndarray, "4 frame"]:
+    def weigh_cases(rows: list[int]) -> Float[np.ndarray, "4 frame"]:
         """Probabilities that a group of joints is correct in both tracks, in the ICP tracker's alone, in the flexible
         tracker's alone, and in none."""
         apart, (a, b) = np.minimum(gap[:, rows].max(1), 2 * ELSE), (each[:, rows].min(1) for each in said)
@@ -112,17 +112,17 @@ def chosen(icp: Tracks, flexible: Tracks, ahead: bool = True) -> Choice:
         return THEIRS * p[0] + (1 - p[0]) * steady((other > both + one).astype(float))
 
     out, right, apart = np.zeros(gap.shape), np.zeros(gap.shape), gap.copy()
-    trunk = supposed([chain[0] for chain in chains])
+    trunk = weigh_cases([chain[0] for chain in chains])
     near, whole = trunk[0], share(trunk)  # with trunks apart the whole body comes from one
     groups = [[row] for row in range(len(names)) if row not in moved] + [chain[1:] for chain in chains]
     for rows in groups:
-        much = near * share(supposed(rows)) + (1 - near) * whole
+        much = near * share(weigh_cases(rows)) + (1 - near) * whole
         apart[:, rows] = gap[:, rows].max(1, keepdims=True)
         for row in rows:
-            p = supposed([row])
+            p = weigh_cases([row])
             out[:, row], right[:, row] = much, p[0] + (1 - much) * p[1] + much * p[2]
     taken = known & usable[:, None]
-    return Choice(np.where(taken, out, 0.0), np.where(taken, right, _said(icp)).astype(np.float32), apart)
+    return Choice(np.where(taken, out, 0.0), np.where(taken, right, _read_confidence(icp)).astype(np.float32), apart)
 
 
 def compared_frames(time_ns: Int64[np.ndarray, " frame"]) -> int:
@@ -158,7 +158,7 @@ def posed(
     t = icp.body.topology
     rotation, translation = icp.rotation.copy(), icp.translation.copy()
 
-    def put(limb: int, turn: Rotation, q: np.ndarray, place: np.ndarray, much: np.ndarray) -> None:
+    def set_pose(limb: int, turn: Rotation, q: np.ndarray, place: np.ndarray, much: np.ndarray) -> None:
         here = (much > 0) & np.isfinite(q).all(1) & np.isfinite(place).all(1)
         rotation[here, limb] = (turn * rotations(q)).as_quat(scalar_first=True)[here]
         translation[here, limb] = place[here]
@@ -175,7 +175,7 @@ def posed(
             turn = shortest_turns(*(unit(np.nan_to_num(bone)) for bone in bones))
             q = np.where(theirs, flexible.rotation[:, limb], icp.rotation[:, limb])
             place = np.where(theirs, flexible.translation[:, limb], icp.translation[:, limb])
-            put(limb, turn, q, joints[:, rows[k]] + turn.apply(np.nan_to_num(place - base[:, k])), much)
+            set_pose(limb, turn, q, joints[:, rows[k]] + turn.apply(np.nan_to_num(place - base[:, k])), much)
             rest.discard(limb)
     much = share[:, [t.centres.index(chain[0]) for chain in CHAINS]].mean(1)
     between = lambda a, b: (1 - much[:, None]) * a + much[:, None] * b  # noqa: E731
@@ -183,17 +183,17 @@ def posed(
         a, b = (tracks.rotation[:, limb] for tracks in (icp, flexible))
         q = np.where((much > 0.5)[:, None], b, a)
         turn = shortest_turns(axis_of(q), between(axis_of(a), axis_of(b)))
-        put(limb, turn, q, between(icp.translation[:, limb], flexible.translation[:, limb]), much)
+        set_pose(limb, turn, q, between(icp.translation[:, limb], flexible.translation[:, limb]), much)
     return rotation, translation
 
 
-def _said(tracks: Tracks) -> Float32[np.ndarray, "frame joint"]:
+def _read_confidence(tracks: Tracks) -> Float32[np.ndarray, "frame joint"]:
     """Confidence of the joints, 0 where it is NaN."""
     assert tracks.joint_confidence is not None
     return np.nan_to_num(tracks.joint_confidence)
 
 
-def _spread(
+def _widen_covariances(
     icp: Tracks, choice: Choice
 ) -> tuple[Float32[np.ndarray, "frame limb 6 6"] | None, Float32[np.ndarray, "frame joint 3 3"] | None]:
     """Covariances of limbs and joint centres: those of the ICP tracker by its share, widened by the distance between
@@ -213,7 +213,7 @@ def _spread(
     return limb, joint
 
 
-def _implausible(
+def _measure_implausibility(
     body: Body, rotation: np.ndarray, translation: np.ndarray, chunk: int
 ) -> tuple[Float32[np.ndarray, "frame bodyjoint"], Float32[np.ndarray, "frame limb"]]:
     """Joint angles beyond their limits, radians, and depth of limbs inside each other, metres."""

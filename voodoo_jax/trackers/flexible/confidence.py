@@ -33,7 +33,7 @@ def clues(found: Seen, ahead: bool = True) -> Float[np.ndarray, "frame point clu
     spread[:], solid[:] = np.asarray(found.spread)[:, :, 0].mean(1)[:, None], depth.mean(1)[:, None]
     spread[:, LIMBS.ravel()] = np.asarray(found.spread).reshape(frames, 12)
     solid[:, LIMBS.ravel()] = depth.repeat(3, 1)
-    part = _parts()
+    part = _assign_parts()
     off, support = np.asarray(found.off)[:, part], np.asarray(found.support)[:, part]
     unexplained = np.broadcast_to(1 - np.asarray(found.explained)[:, None], spread.shape)
     log = lambda a, least: np.log(np.maximum(a, least))  # noqa: E731
@@ -44,7 +44,7 @@ def clues(found: Seen, ahead: bool = True) -> Float[np.ndarray, "frame point clu
     return uniform_filter1d(each, AROUND, 0, mode="nearest", origin=0 if ahead else AROUND // 2)
 
 
-def _parts() -> Int[np.ndarray, " point"]:
+def _assign_parts() -> Int[np.ndarray, " point"]:
     """The part (see cylinders) whose measured points rate each point of the body."""
     out = np.full(16, 13)
     out[[0]], out[[8, 9, 10, 13]] = 12, 14

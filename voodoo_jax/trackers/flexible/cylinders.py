@@ -68,7 +68,7 @@ def segment_distance(s: Segment, q: Vector) -> Float[Array, "*n"]:
     return jnp.sqrt(x * x + y * y + z * z + 1e-9) - (s.begin + t * (s.end - s.begin))
 
 
-def _patch(corners: list[Vector], span: tuple[float, float], q: Vector) -> tuple[Vector, list[Array]]:
+def _project_to_patch(corners: list[Vector], span: tuple[float, float], q: Vector) -> tuple[Vector, list[Array]]:
     """Nearest places of points on a torso patch: offset of each point from it, and bilinear weights of the corners."""
     a, b, c, d = corners  # left and right above, left and right below
     top = (a + b) * 0.5
@@ -80,7 +80,7 @@ def _patch(corners: list[Vector], span: tuple[float, float], q: Vector) -> tuple
     return q - right - across * u, [u * (1 - v), (1 - u) * (1 - v), u * v, (1 - u) * v]
 
 
-def _carriers() -> np.ndarray:
+def _list_carriers() -> np.ndarray:
     out = np.zeros((PARTS, 4), np.int32)
     for limb, (root, middle, end) in enumerate(LIMBS):
         out[3 * limb : 3 * limb + 3, :2] = (root, middle), (middle, end), (middle, end)
@@ -88,7 +88,7 @@ def _carriers() -> np.ndarray:
     return out
 
 
-CARRIERS = _carriers()
+CARRIERS = _list_carriers()
 
 
 def body_segments(body: FlexibleBody, x: Vector) -> Segment:
@@ -112,7 +112,7 @@ def surface_distance(body: FlexibleBody, x: Float[Array, "16 3"], q: Vector) -> 
     at = vectors(x)
     segments = jax.tree.map(lambda a: a.reshape(*a.shape, *[1] * q.ndim), body_segments(body, at))
     patches = [
-        _patch([at[i] for i in corners], span, q)[0].length() - body.torso[1]
+        _project_to_patch([at[i] for i in corners], span, q)[0].length() - body.torso[1]
         for corners, span in ((UPPER, _UPPER_SPAN), (LOWER, _LOWER_SPAN))
     ]
     return jnp.concatenate([segment_distance(segments, q[None]), jnp.stack(patches)])
@@ -133,7 +133,7 @@ def nearest_places(body: FlexibleBody, x: Float[Array, "16 3"], q: Vector, part:
     off, weights = off - d * t, [1 - share, share, zero, zero]
     radius = s.begin + t * (s.end - s.begin)
     for number, corners, span in ((13, UPPER, _UPPER_SPAN), (14, LOWER, _LOWER_SPAN)):
-        own, own_weights = _patch([at[i] for i in corners], span, q)
+        own, own_weights = _project_to_patch([at[i] for i in corners], span, q)
         here = part == number
         off = own.where(here, off)
         weights = [jnp.where(here, a, b) for a, b in zip(own_weights, weights)]

@@ -82,12 +82,12 @@ def track_chunk(
 
     def one(state, given):
         run = lambda: hypotheses(body, state, given, jax.random.fold_in(key, given.index), numbers, shape)  # noqa: E731
-        return lax.cond(given.valid, run, lambda: (state, _nothing(len(state.x), state.x.dtype)))
+        return lax.cond(given.valid, run, lambda: (state, _blank_results(len(state.x), state.x.dtype)))
 
     return lax.scan(one, state, inputs)
 
 
-def _nothing(count: int, dtype: Any) -> Seen:
+def _blank_results(count: int, dtype: Any) -> Seen:
     """The result of a padding frame; written out, since jax.eval_shape of `frame` would trace it twice."""
     none = lambda *shape: jnp.zeros((count, *shape), dtype)  # noqa: E731
     score = Score(none(4), none(4), none(4), none(4), none(4))
@@ -155,7 +155,7 @@ def turned_body(state: State, by: Float[Array, "3"]) -> State:
 def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, shape: Shape) -> tuple[State, Seen]:
     """One frame: prediction, filters, springs, refinement."""
     view, args = given.view, (body, state, given, key, n)
-    filters = jax.jit(_filtered, static_argnums=6)  # traced once, for its shapes and for its use
+    filters = jax.jit(_run_filters, static_argnums=6)  # traced once, for its shapes and for its use
     x, blank = head_moved(body, state, given, n), jax.eval_shape(filters, *args, state.x, shape)
     none = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), blank)
 
@@ -181,7 +181,7 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
 
     colours, learnt = lax.cond(given.learn > 0, more, lambda: (state.colours, state.learnt))
     after = State(x, state.x, p + shift, origin + shift, spread, colours, learnt, state.rate)
-    return after, _seen(body, x, spread, masses, given, near, n)
+    return after, _summarise(body, x, spread, masses, given, near, n)
 
 
 class Filtered(NamedTuple):
@@ -199,12 +199,12 @@ class Filtered(NamedTuple):
 
 
 # 7 parameters: model, state and measurements, traced each
-def _filtered(
+def _run_filters(
     body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, x: Float[Array, "16 3"], shape: Shape
 ) -> Filtered:
     """Runs the filters of all limbs with the trunk fixed."""
     view = given.view
-    space, context = limb_spaces(body, vectors(x), n.legs_apart, n.floor), _context(body, state, x, given, shape)
+    space, context = limb_spaces(body, vectors(x), n.legs_apart, n.floor), _build_context(body, state, x, given, shape)
     ahead = carried_on(state, n)
     near = jax.vmap(lambda one: worthwhile(one, round(_WORTHWHILE * len(given.points)), n.weighing))(context)
     p, origin, mean, spread = spread_and_drawn(key, ahead, state.particles, state.spread, space, near, view, n, shape)
@@ -242,7 +242,9 @@ def settled(
     return lax.fori_loop(0, 1 + rounds, one, x)
 
 
-def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: Inputs, shape: Shape) -> LimbContext:
+def _build_context(
+    body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: Inputs, shape: Shape
+) -> LimbContext:
     hidden = occlusion(body, x, given.view)
     used = len(given.points) if shape.points else 0
     if shape.points:
@@ -365,7 +367,7 @@ def pulled(
 
 
 # 7 parameters: model, state and measurements, traced each
-def _seen(
+def _summarise(
     body: FlexibleBody, x: Float[Array, "16 3"], spread: Array, masses: Array, given: Inputs, context: LimbContext,
     n: Numbers,
 ) -> Seen:  # fmt: skip

@@ -87,7 +87,7 @@ class Colouring(NamedTuple):
     spring: np.ndarray  # [group, point] number of that spring; 0 without one
 
 
-def _colour() -> Colouring:
+def _group_springs() -> Colouring:
     groups: list[list[int]] = []
     for number, (i, j, _) in enumerate(SPRINGS):
         for group in groups:
@@ -104,7 +104,7 @@ def _colour() -> Colouring:
     return Colouring(partner, spring)
 
 
-COLOURING = _colour()
+COLOURING = _group_springs()
 ENDS = np.array([s[:2] for s in SPRINGS], np.int32)  # points of the paper's 24 springs
 
 
@@ -117,7 +117,7 @@ def rest_points(body: Body) -> Float[Any, "16 3"]:
             f"the flexible tracker follows people: the body '{body.name}' has no joint centre {', '.join(missing)}; "
             "use --tracker icp"
         )
-    here, centres = _traced_or_not(joint_centres(body, body.rest))
+    here, centres = _select_module(joint_centres(body, body.rest))
     scale = body.scale if here is jnp else float(body.scale)
     waist = lambda name: here.asarray([0.0, _WAIST[0] * (1 if name[0] == "l" else -1), _WAIST[1]]) * scale  # noqa: E731
     found = [centres[names.index(CENTRES[n])] if n in CENTRES else waist(n) for n in POINTS]
@@ -125,7 +125,7 @@ def rest_points(body: Body) -> Float[Any, "16 3"]:
     return here.stack(found) * np.array([0.0, 1.0, 1.0]) + 0.0  # + 0.0 removes negative zeros
 
 
-def _traced_or_not(value: Any) -> tuple[Any, Any]:
+def _select_module(value: Any) -> tuple[Any, Any]:
     """The array module for a value, and the value: jax.numpy if it is traced, else NumPy in float64 (not compiled)."""
     return (jnp, value) if isinstance(value, Tracer) else (np, np.asarray(value, np.float64))
 
@@ -133,17 +133,17 @@ def _traced_or_not(value: Any) -> tuple[Any, Any]:
 def flexible_body(body: Body, stature: Float[Any, ""] | float) -> FlexibleBody:
     """The flexible body of a person of this stature (metres) with the proportions and girths of `body`. Differentiable.
     Raises Unsuitable."""
-    here, rest = _traced_or_not(rest_points(body))
+    here, rest = _select_module(rest_points(body))
     rest = (rest * (stature / (body.scale if here is jnp else float(body.scale)))).astype(np.float32)
     # rest lengths with arms held slightly out, as people stand (in Hecht's relaxed state they hang straight down)
     ends = rest[ENDS]
     masses = np.full(16, _MASS_LIMB, np.float32)
     masses[[1, 2, 5, 8, 9, 10, 13]] = _MASS_TORSO
     masses[HEAD] = np.inf
-    thick, long = zip(*(_beside_human(body, limb) for limb in _LIMB_NAMES))
+    thick, long = zip(*(_compare_to_human(body, limb) for limb in _LIMB_NAMES))
     radii = np.array([_ARM_RADII] * 2 + [_LEG_RADII] * 2, np.float32) * here.stack(thick).reshape(4, 3, 2)
     tips = np.array([_HAND, _HAND, _FOOT, _FOOT], np.float32) * here.stack(long[2::3])
-    trunk, skull = (_beside_human(body, limb)[0].mean() for limb in ("chest", "head"))
+    trunk, skull = (_compare_to_human(body, limb)[0].mean() for limb in ("chest", "head"))
     return FlexibleBody(
         rest=jnp.asarray(rest),
         lengths=jnp.asarray(here.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)),
@@ -157,11 +157,11 @@ def flexible_body(body: Body, stature: Float[Any, ""] | float) -> FlexibleBody:
     )
 
 
-def _beside_human(body: Body, limb: str) -> tuple[Float[Any, "2"], Float[Any, ""]]:
+def _compare_to_human(body: Body, limb: str) -> tuple[Float[Any, "2"], Float[Any, ""]]:
     """Thickness of a limb at both ends, and its length, relative to the built-in human of the same stature, on which
     the radii of this file were measured; 1 for a limb that the body does not have."""
     usual = load_on_host("human")
-    here, sizes = _traced_or_not(body.sizes)
+    here, sizes = _select_module(body.sizes)
     if limb not in body.topology.limbs:
         return here.ones(2, np.float32), here.ones((), np.float32)
     own = sizes[body.topology.limbs.index(limb)] / (body.scale if here is jnp else float(body.scale))

@@ -134,7 +134,7 @@ class HeadFilter:
         total = cv2.integral(skin)
         p = self.particles + _VELOCITY * self.moved + self.rng.normal(0, _NOISE, self.particles.shape)
         half = np.array(FACE) * self.stature * f.focal[0] / max(self.depth, 0.3)
-        inside, around = _share(total, p, half), _share(total, p, 2 * half)
+        inside, around = _average_in_boxes(total, p, half), _average_in_boxes(total, p, 2 * half)
         score = inside - (4 * around - inside) / 3
         weight = np.exp(_SHARPNESS * (score - score.max()))
         weight /= weight.sum()
@@ -144,7 +144,7 @@ class HeadFilter:
         if weight @ score < _SURE:
             self.moved = np.zeros(2)
             return None
-        z = self._face_depth(f, skin, mean, half)
+        z = self._measure_face_depth(f, skin, mean, half)
         self.moved = np.clip(mean - self.particles.mean(0), -12, 12)
         self.particles = chosen
         if z is None:
@@ -161,21 +161,21 @@ class HeadFilter:
         self.depth, self.moved = float(q[2]), np.zeros(2)
         self.particles = at + self.rng.normal(0, 2 * _NOISE, (self.count, 2))
 
-    def _face_depth(self, f: Features, skin: np.ndarray, at: np.ndarray, half: np.ndarray) -> float | None:
+    def _measure_face_depth(self, f: Features, skin: np.ndarray, at: np.ndarray, half: np.ndarray) -> float | None:
         if f.pair.size:
             return face_depth(f, at, half, self.depth)
-        z = _box(f.depth, at, half)
-        good = (z > 0) & (_box(skin, at, half) > 0.4) & (np.abs(z - self.depth) < 0.5)
+        z = _crop(f.depth, at, half)
+        good = (z > 0) & (_crop(skin, at, half) > 0.4) & (np.abs(z - self.depth) < 0.5)
         return float(np.median(z[good])) if good.sum() >= 5 else None
 
 
-def _box(image: np.ndarray, at: np.ndarray, half: np.ndarray) -> np.ndarray:
+def _crop(image: np.ndarray, at: np.ndarray, half: np.ndarray) -> np.ndarray:
     """The part of an image within a box."""
     low, high = np.round(at - half).astype(int), np.round(at + half).astype(int) + 1
     return image[max(low[1], 0) : max(high[1], 0), max(low[0], 0) : max(high[0], 0)]
 
 
-def _share(total: np.ndarray, p: np.ndarray, half: np.ndarray) -> np.ndarray:
+def _average_in_boxes(total: np.ndarray, p: np.ndarray, half: np.ndarray) -> np.ndarray:
     """Mean of an image within boxes, from its integral; pixels outside of the image count as 0."""
     rows, columns = total.shape[0] - 1, total.shape[1] - 1
     low, high = np.round(p - half).astype(int), np.round(p + half).astype(int) + 1

@@ -130,16 +130,16 @@ class Extractor:
         elif dense and len(images) == 2:
             depth = pair_depth(picture, images, size, None if near is None else near.window(K, inverse, size))
         elif dense:
-            depth = cloud_depth(_beside(frame, picture), K, inverse, size)
+            depth = cloud_depth(_select_camera_points(frame, picture), K, inverse, size)
         grey = cv2.GaussianBlur(np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)), (0, 0), 0.8)
-        edge, motion = self._moving(grey)
+        edge, motion = self._detect_motion(grey)
         return Features(
             colour, cells(colour), edge, motion, depth,
             np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], np.float32),
             inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32), pair, rig,
         )  # fmt: skip
 
-    def _moving(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _detect_motion(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         dx, dy = (cv2.Sobel(grey, cv2.CV_32F, *d, ksize=3, scale=0.25) for d in ((1, 0), (0, 1)))
         gradient = (np.hypot(dx, dy) > _GRADIENT).astype(np.float32)
         small = grey.shape[1] // COARSE, grey.shape[0] // COARSE
@@ -155,7 +155,7 @@ class Extractor:
         return edge, np.clip(motion * 255, 0, 255).astype(np.uint8)
 
 
-def _beside(frame: Frame, picture: Picture) -> Float32[np.ndarray, "point 3"]:
+def _select_camera_points(frame: Frame, picture: Picture) -> Float32[np.ndarray, "point 3"]:
     """The points of the depth camera nearest to a colour camera: other cameras see surfaces that are hidden from it."""
     if len(frame.origins) == 1:
         return frame.points

@@ -76,7 +76,7 @@ class LiveFlexible:
         seen = seen.since(row + 1 - max(1, len(recent)))
         out = nobody_of(self._body, seen.time_ns, scene)
         if self._on is not None:
-            out = finished(self._on._replace(seen=seen, first=0), out, _joined(recent), self.settings)
+            out = finished(self._on._replace(seen=seen, first=0), out, _concatenate(recent), self.settings)
         out = out.only(slice(seen.row[-1], seen.row[-1] + 1))
         self._watching.forget(row + 1)
         self.seconds += time.perf_counter() - began - (seconds_of_waiting() - waited)
@@ -95,8 +95,8 @@ class LiveFlexible:
         self._watching.close()
         if self._on is None:
             return replace(nobody, notes=(*nobody.notes, NOBODY))
-        return finished(self._on._replace(seen=seen), nobody, _joined(self._rows), self.settings)
+        return finished(self._on._replace(seen=seen), nobody, _concatenate(self._rows), self.settings)
 
 
-def _joined(rows: list[Seen]) -> Seen:
+def _concatenate(rows: list[Seen]) -> Seen:
     return jax.tree.map(lambda *each: np.concatenate(each), *rows)

@@ -63,9 +63,9 @@ class FeatureStore:
 
     def place(self, i: int) -> Float64[np.ndarray, "3"]:
         """Position of the camera, metres."""
-        return self._kept(i).place
+        return self._find_entry(i).place
 
-    def _kept(self, i: int) -> "_Kept":
+    def _find_entry(self, i: int) -> "_Kept":
         found = self._at[i]
         if found is None:
             raise IndexError(f"no image in row {i}")
@@ -90,7 +90,7 @@ class FeatureStore:
         return FeatureStore(self._file, [self._at[i] for i in at])
 
     def __getitem__(self, i: int) -> Features:
-        found = self._kept(i)
+        found = self._find_entry(i)
         self._file.seek(found.begin)
         read = self._file.read
         return Features(*(np.frombuffer(read(t.itemsize * prod(s)), t).reshape(s) for t, s in found.kinds))
@@ -136,7 +136,7 @@ class Observed:
         )  # fmt: skip
 
 
-def _left(picture: Picture) -> Picture:
+def _keep_left(picture: Picture) -> Picture:
     """The left image of a pair alone."""
     return replace(picture, unpack=lambda: picture.unpack()[:1], baseline=0.0) if picture.baseline > 0 else picture
 
@@ -162,11 +162,11 @@ class Watching:
         for number, frame in enumerate(frames):
             self._times.append(frame.time_ns)
             if frame.pictures:
-                seen = self._looked_at(frame, self.near(frame.time_ns))
+                seen = self._store_features(frame, self.near(frame.time_ns))
                 self.rows.append(number)
                 yield seen
             elif number >= _PATIENCE and not self.rows:
-                raise self._without_images()
+                raise self._explain_missing_images()
             elif self._given:
                 yield frame
 
@@ -178,12 +178,12 @@ class Watching:
         self.near = partial(near, tracklets)
         return tracklets, found
 
-    def _looked_at(self, frame: Frame, near: Near | None) -> Frame:
+    def _store_features(self, frame: Frame, near: Near | None) -> Frame:
         """The frame with the points of its stereo pairs; stores its features."""
         s, found, shown = self._settings, dict[str, tuple[Features, bool]](), len(self.rows)
         given = self._given and len(frame.points) > 0
         for picture in sorted(frame.pictures, key=lambda picture: picture.topic):
-            picture = _left(picture) if given else picture
+            picture = _keep_left(picture) if given else picture
             dense = given or uses_dense(s) or shown < s.learn_frames
             extract = self._extract.setdefault(picture.topic, Extractor())
             found[picture.topic] = extract(frame, picture, dense, near), picture.baseline > 0
@@ -207,7 +207,7 @@ class Watching:
     def observed(self, people: list[BodyObservation], scene: Scene) -> Observed:
         """The recording, once all frames are read; `people` of the frames with an image. Raises Unsuitable."""
         if not self.rows:
-            raise self._without_images()
+            raise self._explain_missing_images()
         first, *others = self._stores.values()
         row, times = np.array(self.rows[: len(people)], int), np.array(self._times, np.int64)
         whole = Observed(first, tuple(others), people, scene, times, row)
@@ -228,7 +228,7 @@ class Watching:
         for store in self._stores.values():
             store.close()
 
-    def _without_images(self) -> Unsuitable:
+    def _explain_missing_images(self) -> Unsuitable:
         return Unsuitable(
             f"'{self._source}' has no images for the flexible tracker (it needs a calibrated stereo pair, or a "
             "colour camera beside a depth camera; in Python read it with the settings of "

@@ -74,21 +74,21 @@ def unit(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     return v / length(v)
 
 
-def _axes(left: Vector, up: Vector) -> _Axes:
+def _orthogonalise(left: Vector, up: Vector) -> _Axes:
     up = up.unit()
     left = (left - up * left.dot(up)).unit()
     return _Axes(left.cross(up), left, up)
 
 
-def _torso(x: Vector) -> tuple[_Axes, _Axes, Vector, Vector]:
+def _find_torso(x: Vector) -> tuple[_Axes, _Axes, Vector, Vector]:
     """Axes of the upper and lower torso, the middle of the hips and that of the shoulders."""
     shoulders, waist, hips = ((x[i] + x[j]) * 0.5 for i, j in ((2, 5), (8, 9), (10, 13)))
-    return _axes(x[2] - x[5], shoulders - waist), _axes(x[10] - x[13], waist - hips), hips, shoulders
+    return _orthogonalise(x[2] - x[5], shoulders - waist), _orthogonalise(x[10] - x[13], waist - hips), hips, shoulders
 
 
 def frames(x: Float[Array, "16 3"]) -> Frames:
     """The torso's frames: shoulders are limited in the upper frame, hips in the lower one."""
-    upper, lower, hips, shoulders = _torso(vectors(x))
+    upper, lower, hips, shoulders = _find_torso(vectors(x))
     rows = lambda axes: jnp.stack([axis.v for axis in axes])  # noqa: E731
     return Frames(rows(upper), rows(lower), hips.v, shoulders.v)
 
@@ -113,14 +113,14 @@ class _Pulls(NamedTuple):
     share: Float[Array, "group 16"]  # share of the spring's error that the point corrects; 0: no spring
 
 
-def _pulls(body: FlexibleBody, inverse: Float[Array, " 16"]) -> _Pulls:
+def _prepare_springs(body: FlexibleBody, inverse: Float[Array, " 16"]) -> _Pulls:
     spring, partner = COLOURING.spring, COLOURING.partner
     both = jnp.maximum(inverse + inverse[partner], 1e-6)
     share = jnp.where(partner == np.arange(16), 0.0, body.stiffness[spring] * inverse / both)
     return _Pulls(body.lengths[spring], share)
 
 
-def _sprung(x: Vector, pulls: _Pulls) -> Vector:
+def _relax_springs(x: Vector, pulls: _Pulls) -> Vector:
     """One Gauss-Seidel sweep over the springs, group by group."""
     for group, partner in enumerate(COLOURING.partner):
         d = x[partner] - x
@@ -150,7 +150,7 @@ class LimbSpace(NamedTuple):
     over: Float[Array, " limb"]  # least height of the points above the floor, metres
 
 
-def _anchor_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _list_anchors() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     points, springs, used = np.zeros((4, 5), np.int32), np.zeros((4, 5), np.int32), np.zeros((4, 5), np.float32)
     for limb, (root, middle, _) in enumerate(LIMBS):
         mine = [(n, s) for n, s in enumerate(SPRINGS) if root in s[:2] and middle not in s[:2]]
@@ -160,7 +160,7 @@ def _anchor_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return points, springs, used
 
 
-_ANCHOR_POINTS, _ANCHOR_SPRINGS, _ANCHOR_USED = _anchor_tables()
+_ANCHOR_POINTS, _ANCHOR_SPRINGS, _ANCHOR_USED = _list_anchors()
 
 
 def limb_spaces(
@@ -171,14 +171,14 @@ def limb_spaces(
     **Arguments:** `apart` least distance of knees and ankles from the plane between the legs, a share of the stature;
     `floor` normal and offset, metres; None: no floor.
     """
-    upper, lower, middle, top = _torso(x)
+    upper, lower, middle, top = _find_torso(x)
     arm, side = jnp.asarray(IS_ARM), jnp.asarray(SIDE, x.v.dtype)
     forward, outward, up = (a.where(arm, b) for a, b in zip(upper, lower))
     outward = outward * side
     rows = np.swapaxes(_LIMITS, 0, 1)
     limits = tuple(forward * row[:, 0] + outward * row[:, 1] + up * row[:, 2] for row in rows)
     line = top - middle
-    trunk = _axes(upper.left + lower.left, line)
+    trunk = _orthogonalise(upper.left + lower.left, line)
     size = jnp.stack([0.9 * body.torso[0], 0.085 * body.stature, line.length()])
     ground = jnp.asarray(NO_FLOOR) if floor is None else floor
     each = lambda v: jax.tree.map(lambda a: jnp.broadcast_to(a[..., None], (*a.shape, 4)), v)  # noqa: E731
@@ -203,14 +203,14 @@ def limb_bones(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace) -> L
     root, middle, end = p
     root = root - whole * (jnp.where(inverse[0] > 0, 1.0, 0.0) / stiff)
     d = middle - root
-    move = d * _share(d, space.bones[0], inverse[0] + inverse[1])
+    move = d * _correction(d, space.bones[0], inverse[0] + inverse[1])
     root, middle = root + move * inverse[0], middle - move * inverse[1]
     d = end - middle
-    move = d * _share(d, space.bones[1], inverse[1] + inverse[2])
+    move = d * _correction(d, space.bones[1], inverse[1] + inverse[2])
     return root, middle + move * inverse[1], end - move * inverse[2]
 
 
-def _share(d: Vector, rest: Array, weight: Array) -> Array:
+def _correction(d: Vector, rest: Array, weight: Array) -> Array:
     now = d.length()
     return (now - rest) / now / jnp.maximum(weight, 1e-6)
 
@@ -237,13 +237,13 @@ def limb_limits(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace) -> 
     behind = -(own - line * at).dot(space.forward) - _KNEE_BACK
     back = space.forward * ((1 - space.is_arm) * jnp.maximum(behind, 0.0))
     middle, end = middle + back * free[1], end - back * (0.5 * free[2])
-    middle, end = _apart(middle, free[1], space), _apart(end, free[2], space)
+    middle, end = _push_out(middle, free[1], space), _push_out(end, free[2], space)
     out = [p + space.up * (f * jnp.maximum(space.over - (p.dot(space.up) - space.floor), 0.0))
            for p, f in zip((root, middle, end), free)]  # fmt: skip
     return out[0], out[1], out[2]
 
 
-def _apart(p: Vector, free: Float[Array, " #limb"], space: LimbSpace) -> Vector:
+def _push_out(p: Vector, free: Float[Array, " #limb"], space: LimbSpace) -> Vector:
     """Moves elbows and wrists out of the torso (an elliptic cylinder), knees and ankles to their own side."""
     local = p - space.middle
     deep, wide, high = (local.dot(v) for v in space.trunk)
@@ -256,21 +256,21 @@ def _apart(p: Vector, free: Float[Array, " #limb"], space: LimbSpace) -> Vector:
     return p + (push + space.outward * across) * free
 
 
-def _put(x: Vector, rows: np.ndarray, new: Vector) -> Vector:
+def _replace_points(x: Vector, rows: np.ndarray, new: Vector) -> Vector:
     """The points with some rows replaced; by a gather, since XLA is slow at writing few numbers."""
     order = np.arange(16, dtype=np.int32)
     order[rows.ravel()] = 16 + np.arange(rows.size)
     return Vector(jnp.concatenate([x.v, new.v.reshape(3, -1)], 1)[:, order])
 
 
-def _span(x: Vector) -> Vector:
+def _span_trunk(x: Vector) -> Vector:
     return x[NECK] - (x[LOWER[2]] + x[LOWER[3]]) * 0.5
 
 
 def stiff_trunk(x: Vector, inverse: Float[Array, " 16"], least: Float[Array, ""]) -> Vector:
     """Moves neck and hips apart to at least `least`, metres, as a bowed spine does: the springs alone let the flat
     torso fold at the waist (the paper's waist is relatively stiff, sec. IV-B)."""
-    d = _span(x)
+    d = _span_trunk(x)
     now = d.length()
     own, others = inverse[NECK], (inverse[LOWER[2]] + inverse[LOWER[3]]) / 2
     size = jnp.maximum(least - now, 0.0) / now / jnp.maximum(own + others, 1e-6)
@@ -292,7 +292,7 @@ def separate_legs(x: Vector, inverse: Float[Array, " 16"], near: Float[Array, "2
     one, other = inverse[left], inverse[right]
     move = outward * (short / jnp.maximum(one + other, 1e-6))
     first, second = x[left] + move * one, x[right] - move * other
-    return _put(x, np.stack([left, right]), first.stack(second))
+    return _replace_points(x, np.stack([left, right]), first.stack(second))
 
 
 # 7 parameters: the body, its state and what acts on it, traced each
@@ -306,17 +306,17 @@ def relax(
         springs only.
     """
     inverse = inverse_masses(masses)
-    pulls, least = _pulls(body, inverse), _BOWED * _span(vectors(body.rest)).length()
+    pulls, least = _prepare_springs(body, inverse), _BOWED * _span_trunk(vectors(body.rest)).length()
     near = jnp.asarray(LEGS_NEAR) * body.stature
     rows = np.ascontiguousarray(LIMBS.T)  # roots, middles, ends
 
     def sweep(_, x):
-        x = _sprung(x, pulls)
+        x = _relax_springs(x, pulls)
         if not limits:
             return x
         x = separate_legs(stiff_trunk(x, inverse, least), inverse, near)
         moved = limb_limits((x[rows[0]], x[rows[1]], x[rows[2]]), inverse[rows], limb_spaces(body, x, apart, floor))
-        return _put(x, rows, moved[0].stack(*moved[1:]))
+        return _replace_points(x, rows, moved[0].stack(*moved[1:]))
 
     if isinstance(iterations, int) and not iterations:
         return x

@@ -71,7 +71,7 @@ def limb_poses(
     own = Rotation.from_quat(np.asarray(body.rest.rotation, float)[:, [1, 2, 3, 0]])
     place = np.asarray(body.rest.translation, float)
     rotation, translation = np.full((frames, len(t.limbs), 4), np.nan), np.full((frames, len(t.limbs), 3), np.nan)
-    spans = _spans()
+    spans = _list_spans()
     for limb, name in enumerate(t.limbs):
         if name not in spans:
             continue
@@ -79,7 +79,7 @@ def limb_poses(
         base = upper if base == "upper" else lower
         turn = base
         if end is not None:
-            turn = _shortest(np.einsum("fij,j->fi", base, at[end] - at[start]), now[end] - now[start]) @ base
+            turn = _rotate_shortest(np.einsum("fij,j->fi", base, at[end] - at[start]), now[end] - now[start]) @ base
         known = [start, end] if middle and end is not None else [start]
         anchor = np.mean([at[n] for n in known], 0)
         centre = np.mean([now[n] for n in known], 0)
@@ -89,7 +89,7 @@ def limb_poses(
     return rotation.astype(np.float32), translation.astype(np.float32)
 
 
-def _spans() -> dict[str, tuple[str, str | None, str, bool]]:
+def _list_spans() -> dict[str, tuple[str, str | None, str, bool]]:
     """Limb -> its root point, its end point (None: it turns with the torso), its part of the torso, and whether both
     points place it."""
     out: dict[str, tuple[str, str | None, str, bool]] = {
@@ -108,7 +108,9 @@ def _spans() -> dict[str, tuple[str, str | None, str, bool]]:
     return out
 
 
-def _shortest(a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 3 3"]:
+def _rotate_shortest(
+    a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"]
+) -> Float[np.ndarray, "frame 3 3"]:
     """The shortest rotations from directions to others."""
     a = a / np.maximum(np.linalg.norm(a, axis=1, keepdims=True), 1e-9)
     b = b / np.maximum(np.linalg.norm(b, axis=1, keepdims=True), 1e-9)

@@ -65,10 +65,10 @@ class Place(NamedTuple):
 
 def project(view: View, p: Vector) -> Place:
     """Projects points in the fixed frame into the image."""
-    return _seen_at(view, turned(view.turn, p) + Vector(view.shift))
+    return _project_camera(view, turned(view.turn, p) + Vector(view.shift))
 
 
-def _seen_at(view: View, q: Vector) -> Place:
+def _project_camera(view: View, q: Vector) -> Place:
     z = jnp.maximum(q.z, 0.1)
     return Place(q.x / z * view.focal[0] + view.focal[2], q.y / z * view.focal[1] + view.focal[3], z)
 
@@ -114,13 +114,13 @@ def occlusion(body: FlexibleBody, x: Float[Array, "16 3"], view: View) -> Float[
     by_u, by_v = quad_v - jnp.roll(quad_v, -1, 1), jnp.roll(quad_u, -1, 1) - quad_u
     constant = -(by_u * quad_u + by_v * quad_v)
     level = by_v[..., None] * v + constant[..., None]  # [part, edge, row]
-    inside = partial(_inside, u)
+    inside = partial(_fill_quadrilateral, u)
     depth = lax.map(lambda part: jnp.where(inside(*part[:2]), part[2], _NEVER), (level, by_u, near))
     own = np.arange(4)[:, None] == np.arange(len(near)) // 2  # the last parts, head and torso, belong to no limb
     return jnp.min(jnp.where(own[..., None, None], _NEVER, depth), 1)
 
 
-def _inside(
+def _fill_quadrilateral(
     u: Float[Any, " column"], level: Float[Array, "4 row"], by_u: Float[Array, "4"]
 ) -> Bool[Array, "row column"]:
     side = [level[k][:, None] + by_u[k] * u for k in range(4)]
@@ -146,7 +146,7 @@ def samples(view: View, segments: tuple[Segment, Segment, Segment]) -> Samples:
     more = lambda n: np.reshape(n, (-1, *[1] * (a.ndim - 1)))  # noqa: E731
     begin, end = (r.reshape(*r.shape, *[1] * (a.ndim - r.ndim)) for r in (begin, end))
     t = more((np.arange(ALONG, dtype=np.float32) + 0.5) / ALONG)
-    at = _seen_at(view, a[:, None] + d[:, None] * t)
+    at = _project_camera(view, a[:, None] + d[:, None] * t)
     radius = begin[:, None] + t * (end - begin)[:, None]
     line_u, line_v = at.u[:, -1] - at.u[:, 0], at.v[:, -1] - at.v[:, 0]
     along = jnp.sqrt(line_u**2 + line_v**2 + 1e-6)
@@ -211,11 +211,11 @@ def _limb_score(p: Limb, context: LimbContext, view: View, w: Weighing) -> Score
     seen = _image_score(segments, context, context.hidden, view, w)
     if view.more:
         each = [_image_score(segments, context, *other, w) for other in zip(context.more, view.more)]
-        seen = jax.tree.map(lambda *parts: _mean(parts, (view, *view.more)), seen, *each)
+        seen = jax.tree.map(lambda *parts: _average_views(parts, (view, *view.more)), seen, *each)
     return seen._replace(points=_points_score(segments, context, w))
 
 
-def _mean(parts: tuple[Array, ...], views: tuple[View, ...]) -> Array:
+def _average_views(parts: tuple[Array, ...], views: tuple[View, ...]) -> Array:
     """Mean over the cameras that have an image."""
     total = sum((part * view.there for part, view in zip(parts[1:], views[1:])), parts[0] * views[0].there)
     return total / jnp.maximum(sum(view.there for view in views), 1e-6)

@@ -163,7 +163,7 @@ def started(seen: Observed, stature: float) -> tuple[Observed, SkinModel, int, S
         if (first := next(enough, None)) is None:
             continue
         # this camera's points alone: the head's centre lies behind the side of it that the camera sees
-        points = _seen_by(view.people[first], view.features.place(first))
+        points = _select_nearest_sensor(view.people[first], view.features.place(first))
         begin = find_start(view.features[first], points, view.scene.floor, skin, stature)
         found.append((view, skin, first, begin))
         if begin.face_seen:
@@ -171,7 +171,7 @@ def started(seen: Observed, stature: float) -> tuple[Observed, SkinModel, int, S
     return found[0] if found else (seen, SkinModel(), 0, None)
 
 
-def _seen_by(person: BodyObservation, camera: Float64[np.ndarray, "3"]) -> Float32[np.ndarray, "point 3"]:
+def _select_nearest_sensor(person: BodyObservation, camera: Float64[np.ndarray, "3"]) -> Float32[np.ndarray, "point 3"]:
     """The points on a person from the sensor nearest to a camera."""
     if len(person.origins) == 1:
         return person.points
@@ -252,7 +252,7 @@ def finished(on: Begun, nobody: Tracks, found: Seen, settings: Settings) -> Trac
 
 
 # 6 parameters: the sources of a chunk of frames
-def _inputs(on: Begun, seen: Observed, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
+def _build_inputs(on: Begun, seen: Observed, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
     rows, heads, skin, none = [], on.heads, on.skin, np.zeros((16, 3), np.float32)
     guesses = on.guesses.place if on.guesses is not None else {}
     for k, i in enumerate(at):
@@ -280,7 +280,7 @@ def filtered(
     for begin in range(0, len(frames), CHUNK):
         at = frames[begin : begin + CHUNK]
         pad = CHUNK - len(at)
-        given = jax.device_put(_inputs(on, seen, at + at[-1:] * pad, s, up, pad))
+        given = jax.device_put(_build_inputs(on, seen, at + at[-1:] * pad, s, up, pad))
         states, found = track_chunk(on.model, states, given, key, n, shape)
         out.append(jax.tree.map(np.asarray, found))
         if progress is not None:

@@ -45,12 +45,12 @@ class FacingOdds:
         unexplained = max(min(costs) - start.noise**2, 1e-9)
         fit = min(1.0, BADLY * run.settings.start.sure / unexplained)
         bends = float(np.mean(bent(run.body, other.rotation)) - np.mean(bent(run.body, segment.rotation))) / WRONG_WAY
-        ahead = self._ahead(gone(run, segment)) - self._ahead(gone(run, other))
+        ahead = self._rate_walk(gone(run, segment)) - self._rate_walk(gone(run, other))
         stands = self.posture * float(np.nan_to_num(posture_of(run, segment) - posture_of(run, other))) / 2
         dearer = float(np.log(start.rival.cost / start.cost) + np.log(costs[1] / costs[0]))
         return fit * (dearer + bends) + stands + ahead
 
-    def _ahead(self, gone: float) -> float:
+    def _rate_walk(self, gone: float) -> float:
         return self.ahead * float(np.sign(gone) * np.clip((abs(gone) - self.step) / self.stride, 0, 1))
 
 

@@ -51,7 +51,7 @@ class LyingDown:
         if not seen.lies:
             return search
         found: list[tuple[float, StartHypothesis, list[list[Poses]]]] = []
-        for body in self._bodies(run, search, seen):
+        for body in self._list_bodies(run, search, seen):
             for rest in filter(None, (body, in_stance(body, CURLED))):
                 places = lying_places(rest, frames[-1], run.scene.floor)
                 tried = best_from(run, at, body, [*places[0], *places[1]])
@@ -60,23 +60,23 @@ class LyingDown:
         if cost >= search.best.cost:
             return search
         if run.settings.looks_ahead("track"):
-            best = self._turned(run, best, places)
+            best = self._choose_orientation(run, best, places)
         return search._replace(best=best, found=(best,))
 
-    def _turned(self, run: Runner, best: StartHypothesis, places: list[list[Poses]]) -> StartHypothesis:
+    def _choose_orientation(self, run: Runner, best: StartHypothesis, places: list[list[Poses]]) -> StartHypothesis:
         """The best orientation over more frames, with the next best as its rival: a few frames hardly distinguish head
         from feet, or front from back of a person lying on the side."""
         each = [best_from(run, best.frame, best.body, list(some)) for some in zip(*places)]
         apart: list[StartHypothesis] = []
         for one in sorted((best, *each), key=lambda one: one.cost):
-            if one.cost < FAR_RIVAL * best.cost and all(not _alike(one, other) for other in apart):
+            if one.cost < FAR_RIVAL * best.cost and all(not _have_same_orientation(one, other) for other in apart):
                 apart.append(one._replace(rival=None))
-        costs = self._over(run, apart[:WAYS])
+        costs = self._extend_trials(run, apart[:WAYS])
         order = sorted(range(len(costs)), key=costs.__getitem__)
         first, *others = (apart[k]._replace(cost=best.cost * costs[k] / costs[order[0]]) for k in order)
         return first._replace(rival=others[0] if others else None)
 
-    def _over(self, run: Runner, starts: list[StartHypothesis]) -> list[float]:
+    def _extend_trials(self, run: Runner, starts: list[StartHypothesis]) -> list[float]:
         """Costs of starts over more frames, including joints bent the wrong way and limbs inside others."""
         body, costs = run.body, []
         for start in starts:
@@ -87,7 +87,7 @@ class LyingDown:
         run.body = body
         return costs
 
-    def _bodies(self, run: Runner, search: Search, seen: Extent) -> list[Body]:
+    def _list_bodies(self, run: Runner, search: Search, seen: Extent) -> list[Body]:
         """The body in every size to try."""
         if run.sized or run.settings.start.scale > 0:
             return [search.best.body]
@@ -96,7 +96,7 @@ class LyingDown:
         return [scaled(run.body, s) for s in (*sizes, *(s for s in usual if s > self.larger * seen.length))]
 
 
-def _alike(one: StartHypothesis, other: StartHypothesis) -> bool:
+def _have_same_orientation(one: StartHypothesis, other: StartHypothesis) -> bool:
     """Whether two starts have about the same orientation: head at the same end, facing the same side."""
     turns = rotations(np.stack([one.poses.rotation[0], other.poses.rotation[0]]))
     return bool((turns[0].inv() * turns[1]).magnitude() < SAME)

@@ -34,20 +34,20 @@ class OtherStances:
         unexplained = max(min(found.unexplained for found, _ in every), 1e-9)
         fit = min(1.0, BADLY * run.settings.start.sure / unexplained)
 
-        def against(one: tuple[StartHypothesis, Stance | None]) -> float:
+        def penalised_cost(one: tuple[StartHypothesis, Stance | None]) -> float:
             found, stance = one
             cost = fit * float(np.log(found.cost * (self.likelier if stance is None is earlier else 1.0)))
             if stance is not None and stance is earlier:  # its size was rated before
                 return cost + float(np.log(self.likelier))
-            return cost + max(_tall(found.body) - _tall(search.best.body), 0.0)
+            return cost + max(_penalise_tall(found.body) - _penalise_tall(search.best.body), 0.0)
 
-        best, stance = min(every, key=against)
+        best, stance = min(every, key=penalised_cost)
         if stance is not None:
             run.stances[search.at] = stance
         return search._replace(best=best, stance=stance)
 
 
-def _tall(body: Body) -> float:
+def _penalise_tall(body: Body) -> float:
     """Penalty for a body taller than usual, as a logarithm of costs."""
     return rarity(max(float(body.scale), STATURE)) if body.scale_name == "stature" else 0.0
 
