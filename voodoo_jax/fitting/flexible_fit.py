@@ -38,7 +38,7 @@ from voodoo_jax.fitting.gauss_newton import (
     spread,
 )
 from voodoo_jax.fitting.gauss_newton import PARTS as LEFT_OUT
-from voodoo_jax.fitting.judge import is_size, judged_by, verdict_on, weakly_determined
+from voodoo_jax.fitting.judge import SIZES, is_size, judged_by, verdict_on, weakly_determined
 from voodoo_jax.fitting.objective import FEW, JOINT_SD, PER_LIMB, POINT_SD, ROBUST, Objective, as_distances
 from voodoo_jax.fitting.parameters import Parameters, changed, parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
@@ -49,15 +49,13 @@ from voodoo_jax.records.recording import Recording
 from voodoo_jax.trackers.base import LogInfo, source_of, source_of_log, tracker_of
 from voodoo_jax.trackers.flexible.cylinders import PARTS, surface_distance
 from voodoo_jax.trackers.flexible.filters import clothed, refined
-from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS, FlexibleBody, flexible_body
+from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMB_NAMES, POINTS, FlexibleBody, flexible_body
 from voodoo_jax.trackers.flexible.poses import centres_of
 from voodoo_jax.trackers.flexible.tracker import Followed, Observed, chosen_points, followed, looks, numbers, observe
 from voodoo_jax.trackers.flexible.vectors import vectors
 
 ROUNDS = 16  # rounds of refinement: twice those of tracking, since sizes change during the fit; by hand
-SIZES = ("scale", "shape", "lengths", "radii", "anchors")  # parameters that the flexible body has
-_LIMBS = [f"{s}_{n}" for ns in (("upper_arm", "forearm", "hand"), ("thigh", "shank", "foot")) for s in "lr" for n in ns]
-PART_LIMBS = (*_LIMBS, "head", "chest", "pelvis")  # limb of a person's body for each part of the flexible body
+PART_LIMBS = (*LIMB_NAMES, "head", "chest", "pelvis")  # limb of a person's body for each part of the flexible body
 
 
 class FlexibleFrames(eqx.Module):

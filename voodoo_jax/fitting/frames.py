@@ -21,7 +21,6 @@ from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import Topology
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket, pad_features, pad_frames
@@ -129,10 +128,9 @@ def fit_frames(
         for k in (0, 1):
             mask = np.zeros(len(frame.points), bool)
             mask[order[k::2]] = True
-            rays = [i for i in range(len(frame.rays.names)) if (i + number) % 2 == k]
-            pairs = [i for i in range(len(frame.pairs.names)) if (k == 1 if markers else (i + number) % 2 == k)]
-            part = frame.only(mask)
-            parts.append(replace(part, rays=_select_rays(frame.rays, rays), pairs=_select_pairs(frame.pairs, pairs)))
+            rays, pairs = ((np.arange(len(each.names)) + number) % 2 == k for each in (frame.rays, frame.pairs))
+            pairs = np.full(len(pairs), k == 1) if markers else pairs
+            parts.append(replace(frame.only(mask), rays=frame.rays.only(rays), pairs=frame.pairs.only(pairs)))
         solve.append(parts[0])
         judge.append(parts[1])
     sensors, capacity = len(people[0].origins), bucket(points)
@@ -217,16 +215,6 @@ def truth_at(truth: Truth, stamps: list[int], topology: Topology, count: int) ->
 def _pad(poses: Poses, count: int) -> Poses:
     """Poses padded to `count` frames by the last one."""
     return jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], count - len(x), 0)]), poses)
-
-
-def _select_rays(rays: Rays, rows: list[int]) -> Rays:
-    weights = None if rays.weights is None else rays.weights[rows]
-    return Rays(tuple(rays.names[i] for i in rows), rays.origins[rows], rays.directions[rows], weights)
-
-
-def _select_pairs(pairs: Pairs, rows: list[int]) -> Pairs:
-    weights = None if pairs.weights is None else pairs.weights[rows]
-    return Pairs(tuple(pairs.names[i] for i in rows), pairs.points[rows], weights)
 
 
 def _drop_weights(frame: BodyObservation) -> BodyObservation:

@@ -18,6 +18,7 @@ from voodoo_jax.fitting.gauss_newton import SURE, undetermined
 from voodoo_jax.fitting.parameters import SYSTEMATIC
 from voodoo_jax.records.tracks import Tracks
 
+SIZES = ("scale", "shape", "lengths", "radii", "anchors")  # names of sizes of the body begin with these
 ERROR = 0.05  # rate at which noise makes a body that is not better pass as better
 UNLIKELY = 0.05  # rate at which correct sizes move this far because people are not made of cylinders
 FEWEST = 4  # least number of runs of time for a judgement
@@ -57,7 +58,7 @@ class Compared(NamedTuple):
 
 def is_size(names: tuple[str, ...]) -> Bool[np.ndarray, " all"]:
     """Which parameters are sizes of the body; the others belong to the method and have no true value."""
-    return np.array([n.startswith(("shape", "scale", "lengths", "radii", "anchors")) for n in names], bool)
+    return np.array([n.startswith(SIZES) for n in names], bool)
 
 
 def weakly_determined(

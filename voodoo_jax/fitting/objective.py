@@ -103,7 +103,8 @@ def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: P
     """Residuals of held-back points from the visible side of the limbs; vectors, so that no root is taken."""
     matching = eqx.tree_at(lambda o: o.robust_scale, options.match, jnp.full_like(options.match.robust_scale, jnp.inf))
     at, sizes = jax.lax.stop_gradient((poses, body.sizes))
-    limbs = _closest(sizes, at, frame, options, body)
+    # the nearest limb under any rule: where a point changes limbs, both are at the same distance
+    limbs = closest_limbs(sizes, at, frame.held, options.match, body.present)
     found = match_assigned(body.sizes, poses, frame.held, limbs, matching)
     # points beyond an end count too: without them a limb that is too short has no error, and a longer one always gains
     there = found.weight[0] > 0
@@ -112,11 +113,6 @@ def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: P
     count = jax.ops.segment_sum(there.astype(gap.dtype), limbs, body.limb_count + 1)
     share = PER_LIMB * jnp.append(frame.news, 0.0) / (count + FEW)
     return (_apply_robust_loss(gap, ROBUST) * jnp.sqrt(share)[limbs][:, None] / POINT_SD).reshape(-1)
-
-
-def _closest(sizes, poses: Poses, frame: FitFrames, options: IcpOptions, body: Body) -> Int[Array, " point"]:
-    # the nearest limb under any rule: where a point changes limbs, both are at the same distance
-    return closest_limbs(sizes, poses, frame.held, options.match, body.present)
 
 
 def _ray_residuals(body: Body, features: Features, poses: Poses) -> Float[Array, " residual"]:

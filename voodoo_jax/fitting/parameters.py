@@ -101,7 +101,7 @@ def _list_modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:
     found = {}
     for mode in body.modes:
         changes = dict(mode.changes)
-        entries = [(e, changes.get(e[0], changes.get(".".join(map(without_side, e[0].split(".")))))) for e in known]
+        entries = [(e, changes.get(e[0], changes.get(_remove_side(e[0])))) for e in known]
         found[f"shape.{mode.name}"] = [(n, part, i, sign * by, "shape") for (n, part, i, sign, _), by in entries if by]
     return found
 
@@ -170,7 +170,7 @@ def parameters(
         if any(_matches(entry[0], p) for p in patterns):
             name = entry[0]
             if mirrored:
-                name = ".".join(map(without_side, name.split(".")))
+                name = _remove_side(name)
                 if entry[1] == 3 and entry[0] == name and name.endswith(".y"):
                     continue  # joints in the middle stay there
             rows.setdefault(name, []).append(entry)
@@ -251,7 +251,7 @@ def height_ratio(body: Body) -> Float[Array, ""] | float:
 
 def _matches(name: str, pattern: str) -> bool:
     """Whether a pattern matches a parameter's full name or its name without side."""
-    return fnmatchcase(name, pattern) or fnmatchcase(".".join(map(without_side, name.split("."))), pattern)
+    return fnmatchcase(name, pattern) or fnmatchcase(_remove_side(name), pattern)
 
 
 def changed(body: Body, by: Changes) -> Body:

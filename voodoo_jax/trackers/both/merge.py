@@ -20,18 +20,14 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, POINTS
+from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMB_NAMES, LIMBS, POINTS
 from voodoo_jax.trackers.icp.confidence import mark_lost
 from voodoo_jax.trackers.icp.misfit import misfit
 from voodoo_jax.trackers.shared.report import derived_from
 
 # joint centres of each arm and leg, from the trunk outwards, and the limbs that begin at them
 CHAINS = tuple(tuple(CENTRES[POINTS[point]] for point in row) for row in LIMBS.tolist())
-PARTS = tuple(
-    tuple(f"{side}_{part}" for part in parts)
-    for parts in (("upper_arm", "forearm", "hand"), ("thigh", "shank", "foot"))
-    for side in "lr"
-)
+CHAIN_LIMBS = tuple(LIMB_NAMES[3 * n : 3 * n + 3] for n in range(4))
 # metres along each axis, standard deviations. ERRS: of joints that are correct by the ICP and by the flexible tracker,
 # measured on the choosing half of experiments/stereo and four other rendered logs. ELSE: of the distance between both
 # where one is wrong; of 0.2 and 0.3 the better one there
@@ -164,7 +160,7 @@ def posed(
         translation[here, limb] = place[here]
 
     rest = set(range(len(t.limbs)))
-    for parts, chain in zip(PARTS, CHAINS):
+    for parts, chain in zip(CHAIN_LIMBS, CHAINS):
         rows = [t.centres.index(name) for name in chain]
         much = share[:, rows[-1]]
         theirs = (much > 0.5)[:, None]

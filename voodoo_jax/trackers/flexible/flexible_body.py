@@ -58,7 +58,7 @@ _HAND, _FOOT = 0.095, 0.11  # lengths beyond wrist and ankle, shares of stature,
 _MASS_TORSO, _MASS_LIMB = 4.0, 1.0  # relative; the paper gives only heavier and lighter, the numbers are set by hand
 
 
-_LIMB_NAMES = tuple(
+LIMB_NAMES = tuple(
     f"{side}_{part}"
     for parts in (("upper_arm", "forearm", "hand"), ("thigh", "shank", "foot"))
     for side in "lr"
@@ -140,7 +140,7 @@ def flexible_body(body: Body, stature: Float[Any, ""] | float) -> FlexibleBody:
     masses = np.full(16, _MASS_LIMB, np.float32)
     masses[[1, 2, 5, 8, 9, 10, 13]] = _MASS_TORSO
     masses[HEAD] = np.inf
-    thick, long = zip(*(_compare_to_human(body, limb) for limb in _LIMB_NAMES))
+    thick, long = zip(*(_compare_to_human(body, limb) for limb in LIMB_NAMES))
     radii = np.array([_ARM_RADII] * 2 + [_LEG_RADII] * 2, np.float32) * here.stack(thick).reshape(4, 3, 2)
     tips = np.array([_HAND, _HAND, _FOOT, _FOOT], np.float32) * here.stack(long[2::3])
     trunk, skull = (_compare_to_human(body, limb)[0].mean() for limb in ("chest", "head"))

@@ -23,7 +23,7 @@ from voodoo_jax.trackers.flexible.flexible_body import (
     FlexibleBody,
     bone_lengths,
 )
-from voodoo_jax.trackers.flexible.vectors import Vector, vectors
+from voodoo_jax.trackers.flexible.vectors import TINY, Vector, vectors
 
 # least cosines of the first bone's direction with an axis of the torso (forward, outward, up, with the signs of the
 # rows): ranges of motion of shoulders and hips. Measured: without them a kick is 0.8 cm worse; with those of the
@@ -47,7 +47,6 @@ _BOWED = 0.92
 LEGS_NEAR = np.array([0.075, 0.058], np.float32)
 ANKLE = 0.035  # height of an ankle above the floor, share of stature, measured on the built-in body
 NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # a kilometre down: any gives the same below the feet
-_TINY = 1e-9  # square metres: float32 has no smaller distances here
 
 
 class Frames(NamedTuple):
@@ -233,7 +232,7 @@ def limb_limits(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace) -> 
     end = end + d * (free[2] / now * jnp.maximum(least - now, 0.0))
     # knees bend forward
     line, own = end - root, middle - root
-    at = jnp.clip(own.dot(line) / (line.dot(line) + 3 * _TINY), 0.0, 1.0)
+    at = jnp.clip(own.dot(line) / (line.dot(line) + 3 * TINY), 0.0, 1.0)
     behind = -(own - line * at).dot(space.forward) - _KNEE_BACK
     back = space.forward * ((1 - space.is_arm) * jnp.maximum(behind, 0.0))
     middle, end = middle + back * free[1], end - back * (0.5 * free[2])
@@ -248,7 +247,7 @@ def _push_out(p: Vector, free: Float[Array, " #limb"], space: LimbSpace) -> Vect
     local = p - space.middle
     deep, wide, high = (local.dot(v) for v in space.trunk)
     deep, wide = deep / space.size[0], wide / space.size[1]
-    r = jnp.sqrt(deep**2 + wide**2 + _TINY)
+    r = jnp.sqrt(deep**2 + wide**2 + TINY)
     inside = (r < 1) & (high > 0) & (high < space.size[2])
     out = jnp.where(inside, space.is_arm * (1 / jnp.maximum(r, 0.05) - 1), 0.0)
     push = space.trunk.forward * (deep * out * space.size[0]) + space.trunk.left * (wide * out * space.size[1])
@@ -288,7 +287,7 @@ def separate_legs(x: Vector, inverse: Float[Array, " 16"], near: Float[Array, "2
     along = d.dot(outward)
     across = d - outward * along
     room = near**2 - across.dot(across)
-    short = jnp.where(room > 0, jnp.maximum(jnp.sqrt(jnp.maximum(room, _TINY)) - along, 0.0), 0.0)
+    short = jnp.where(room > 0, jnp.maximum(jnp.sqrt(jnp.maximum(room, TINY)) - along, 0.0), 0.0)
     one, other = inverse[left], inverse[right]
     move = outward * (short / jnp.maximum(one + other, 1e-6))
     first, second = x[left] + move * one, x[right] - move * other

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-_TINY = 1e-9  # square metres: float32 has no smaller distances here
+TINY = 1e-9  # square metres: float32 has no smaller distances here
 
 
 @jax.tree_util.register_dataclass
@@ -57,7 +57,7 @@ class Vector:
 
     def length(self) -> Float[Array, "*b"]:
         """Lengths, smooth at zero."""
-        return jnp.sqrt(self.dot(self) + _TINY)
+        return jnp.sqrt(self.dot(self) + TINY)
 
     def unit(self) -> "Vector":
         return self * (1 / self.length())
