@@ -456,5 +456,5 @@ def test_words_that_name_only_what_people_share():
 
 def test_folds_are_for_what_people_have_in_common():
     check_common(parameters(BODY, ["bands", "measurement weights"], ("face",)).names)
-    with pytest.raises(FitError, match=r"lengths\.thigh is a person's own"):
+    with pytest.raises(FitError, match=r"lengths\.thigh belongs to one person"):
         check_common(parameters(BODY, ["bands", "lengths.thigh"]).names)

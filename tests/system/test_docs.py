@@ -137,10 +137,6 @@ def test_settings_are_in_plain_english(capsys):
     assert not phrases(capsys.readouterr().out)
 
 
-# packages whose docstrings are still to be rewritten
-LATER = ("trackers/flexible", "trackers/both", "trackers/icp/start", "fitting")
-
-
 def docstrings(path: Path) -> list[str]:
     """The docstrings of a file, each as one line."""
     nodes = [
@@ -154,7 +150,6 @@ def docstrings(path: Path) -> list[str]:
 )
 def test_docstrings_are_in_plain_english(package):
     files = sorted((ROOT / "voodoo_jax" / package).rglob("*.py"))
-    files = [p for p in files if not p.relative_to(ROOT / "voodoo_jax").as_posix().startswith(LATER)]
     found = [f"{path.name}: {line}" for path in files for text in docstrings(path) for line in phrases(text)]
     assert not found, "\n".join(found)
 

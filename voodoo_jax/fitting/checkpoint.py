@@ -1,4 +1,4 @@
-"""Where a search stands, and the file it is saved in."""
+"""The state of a search, and the file that it is saved in."""
 
 import os
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from voodoo_jax.storage.troubles import opened_file
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a search stands; all that is needed to go on."""
+    """The state of a search, complete for resuming."""
 
     x: Float64[np.ndarray, " all"]
     step: int = 0
@@ -23,7 +23,7 @@ class Progress:
 
 
 def save_progress(progress: Progress, path: str | os.PathLike[str], fingerprint: str) -> None:
-    """Writes a state file, complete or not at all."""
+    """Writes a state file atomically."""
     with replacing(path) as partial, open(partial, "wb") as file:
         np.savez(
             file, x=progress.x, step=progress.step, damping=progress.damping, losses=np.array(progress.losses),
@@ -32,7 +32,7 @@ def save_progress(progress: Progress, path: str | os.PathLike[str], fingerprint:
 
 
 def load_progress(path: str | os.PathLike[str], fingerprint: str) -> Progress | None:
-    """What save_progress wrote; None if there is no file, or one of another fit."""
+    """Reads a state file; None if it does not exist, is broken, or belongs to another fit."""
     try:
         with opened_file(path) as stream:
             file = arrays_in(stream)

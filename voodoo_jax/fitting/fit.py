@@ -1,4 +1,4 @@
-"""A body's sizes, joints and bands from recordings that the ICP tracker has tracked: the search, and its judge."""
+"""Fits a body's sizes, joints and bands to recordings tracked by the ICP tracker, and judges the result."""
 
 import hashlib
 import os
@@ -26,18 +26,18 @@ from voodoo_jax.fitting.tuned_options import tuned_settings
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.solve.scan import options_from
 
-SHARED = ("bands.", "solve.", "features.")  # what several persons have in common
-# Bands are so many times stiffer than in tracking where points judge sizes: tracks with lengths 8 % too long and with
-# the usual ones then differ beyond noise in 16 of 18 recordings, in 15 with the bands of tracking (experiments/fit).
+SHARED = ("bands.", "solve.", "features.")  # parameters shared by all persons
+# Factor on the stiffness of the bands where points judge sizes: tracks with lengths 8 % too long and with the usual
+# ones then differ beyond noise in 16 of 18 recordings, with the bands of tracking in 15 (experiments/fit).
 JUDGED = 4.0
-MOVED = 0.2  # deviations of what was found: a round that changes nothing by more is the last
+MOVED = 0.2  # standard deviations of the result: a round with smaller changes is the last
 
 
 TruthLike = Truth | str | os.PathLike[str] | None
 
 
 class Found(NamedTuple):
-    """What a search has found, not yet judged."""
+    """Result of a search, not yet judged."""
 
     search: Search
     progress: Progress
@@ -47,26 +47,26 @@ class Found(NamedTuple):
 
     @property
     def starts(self) -> tuple[Body, ...]:
-        """Of every person, before the fit."""
-        return tuple(part.body for part in self._first())
+        """Bodies of all persons before the fit."""
+        return tuple(part.body for part in self._first_parts())
 
     @property
     def fitted(self) -> tuple[Body, ...]:
-        """Of every person, as found."""
-        return tuple(self.search.body(self.progress.x, part) for part in self._first())
+        """Fitted bodies of all persons."""
+        return tuple(self.search.body(self.progress.x, part) for part in self._first_parts())
 
     def tuned(self, settings: Settings) -> Settings:
-        """The settings with what was found of them."""
-        first = self._first()[0]
+        """The settings with the fitted options and weights."""
+        first = self._first_parts()[0]
         changes = self.search.changes(self.progress.x, first)
         return tuned_settings(settings, first.body.topology, changes, self.search.features)
 
-    def _first(self) -> list[Part]:
+    def _first_parts(self) -> list[Part]:
         """The first recording of every person."""
         return [next(p for p in self.search.parts if p.person == k) for k in range(len(self.search.rows))]
 
 
-# 7 parameters: what `fit` has, and truths for the report
+# 7 parameters: those of `fit`, and truths for the report
 def fit_tracked(
     seen: Sequence[Seen],
     settings: Settings,
@@ -76,7 +76,7 @@ def fit_tracked(
     say: Callable[[str, Progress | None], None] | None = None,
     judge: Sequence[TruthLike] = (),
 ) -> Fit:
-    """The same from tracks and the frames that they were found in; `judge` truths that only the report looks at."""
+    """`fit` from recordings that are already tracked; `judge` truths used only by the report."""
     found = searched(seen, settings, options, truths, state, say)
     search, x, stays, tuned = found.search, found.progress.x, found.stays, found.tuned(settings)
     if say is not None:
@@ -89,18 +89,21 @@ def fit_tracked(
     else:
         stiff = 1.0 if truths or _bands_free(search) else JUDGED
         pairs = [
-            [track_again(one, body, _stiffer(some, stiff)).tracks for body, some in ((p.body, settings), (new, tuned))]
+            [
+                track_again(one, body, _with_stiffer_bands(some, stiff)).tracks
+                for body, some in ((p.body, settings), (new, tuned))
+            ]
             for one, p in zip(seen, search.parts)
             for new in [search.body(x, p)]
         ]
         judged = [judged_by(was, now, p.person, t) for (was, now), p, t in zip(pairs, search.parts, known)]
-    sizes, usual = is_size(_all_names(search)) & ~stays, search.sd / options.looseness
+    sizes, usual = is_size(_name_entries(search)) & ~stays, search.sd / options.looseness
     verdict = verdict_on(judged, x / usual, sizes, bool(truths), bool(stays.all()))
     return fit_of(found, settings, options, judged, verdict)
 
 
 def fit_of(found: Found, settings: Settings, options: FitSettings, judged: Sequence[Judged], verdict: Verdict) -> Fit:
-    """What was found, once it is judged."""
+    """The Fit from the result of a search and its judgement."""
     search, x = found.search, found.progress.x
     starts, fitted = found.starts, found.fitted
     bodies = fitted if verdict.better else starts
@@ -109,13 +112,13 @@ def fit_of(found: Found, settings: Settings, options: FitSettings, judged: Seque
         for start, rows in zip(starts, search.rows)
     )
     return Fit(
-        bodies[0], bodies, fitted, starts, verdict, _all_names(search), x, np.sqrt(np.diag(found.covariance)),
+        bodies[0], bodies, fitted, starts, verdict, _name_entries(search), x, np.sqrt(np.diag(found.covariance)),
         found.spread, search.sd, found.stays, sizes, found.progress.losses, found.progress.done, tuple(judged), options,
         found.tuned(settings),
     )  # fmt: skip
 
 
-# 6 parameters: what `fit` hands on
+# 6 parameters: those of `fit`
 def searched(
     seen: Sequence[Seen],
     settings: Settings,
@@ -124,10 +127,10 @@ def searched(
     state: str | os.PathLike[str] | None = None,
     say: Callable[[str, Progress | None], None] | None = None,
 ) -> Found:
-    """The search alone; arguments of `fit`."""
+    """Runs the search alone; arguments of `fit`."""
     tell = say or (lambda what, progress: None)
-    chosen = [chosen_frames(s.tracks, _points(s), options.frames) for s in seen]
-    search = _stiff(search_of(seen, settings, options, truths, chosen), options)
+    chosen = [chosen_frames(s.tracks, _count_points(s), options.frames) for s in seen]
+    search = _stiffen_bands(search_of(seen, settings, options, truths, chosen), options)
     size = len(search.sd)
     mark = _fingerprint(search, options)
     progress = (load_progress(state, mark) if state is not None else None) or Progress(np.zeros(size))
@@ -152,15 +155,15 @@ def searched(
         parts = search_of(again, settings, options, truths, chosen).parts
         parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
         search, progress = replace(search, parts=parts), replace(progress, done=False)
-    # what the recordings do not tell stays, and the others are found anew beside it
-    stays = weakly_determined(_all_names(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
+    # weakly determined sizes keep their start values, and the others are fitted again
+    stays = weakly_determined(_name_entries(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
     if stays.any():
         progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
         progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)
     return Found(search, progress, cov, apart, stays)
 
 
-def _stiff(search: Search, options: FitSettings) -> Search:
+def _stiffen_bands(search: Search, options: FitSettings) -> Search:
     """The search with stiffer bands, unless they are free."""
     ratio = search.options.ratio * (1.0 if _bands_free(search) else options.stiffness)
     return replace(search, options=eqx.tree_at(lambda o: o.ratio, search.options, ratio))
@@ -170,17 +173,17 @@ def _bands_free(search: Search) -> bool:
     return any(n.startswith(("bands.", "solve.")) for n in search.free.names)
 
 
-def _stiffer(settings: Settings, times: float) -> Settings:
+def _with_stiffer_bands(settings: Settings, times: float) -> Settings:
     return replace(settings, solve=replace(settings.solve, ratio=settings.solve.ratio * times))
 
 
-def _points(seen: Seen) -> Int[np.ndarray, " frame"]:
-    """How many points on the person each frame has."""
+def _count_points(seen: Seen) -> Int[np.ndarray, " frame"]:
+    """Number of points on the person in each frame."""
     return np.array([len(frame.points) for frame in seen.people], int)
 
 
 def track_again(seen: Seen, body: Body, settings: Settings) -> Seen:
-    """A recording tracked with a body of known size."""
+    """Tracks a recording with a body of known size."""
     from voodoo_jax.trackers.base import LogInfo, Task
     from voodoo_jax.trackers.of_points import track_person
 
@@ -199,8 +202,8 @@ def search_of(
     truths: Sequence[TruthLike] = (),
     chosen: Sequence[Int[np.ndarray, " chosen"]] = (),
 ) -> Search:
-    """What is free, and the frames that are looked at: `chosen` ones of each recording, or well tracked ones."""
-    chosen = chosen or [chosen_frames(s.tracks, _points(s), options.frames) for s in seen]
+    """Sets up the search: free parameters, priors, and the `chosen` frames of each recording, or well tracked ones."""
+    chosen = chosen or [chosen_frames(s.tracks, _count_points(s), options.frames) for s in seen]
     body = seen[0].tracks.body
     names = tuple(sorted({n for s in seen for n in feature_names(s.people, body.topology, settings.features)}))
     free = parameters(body, options.free, names, options.mirrored)
@@ -212,7 +215,7 @@ def search_of(
         frames = fit_frames(
             tracks, people, at, settings.features, names, options.frames, options.points, truth, k, options.markers
         )
-        # the proportions, too, are the person's, not the log's
+        # all recordings of a person have the same proportions
         own = scaled(seen[persons.index(person)].tracks.body, float(scales[person]))
         parts.append(Part(Path(tracks.source).name, own, frames, person))
     icp = options_from(
@@ -228,7 +231,7 @@ def search_of(
     sd, centre = np.zeros(size), np.zeros(size)
     for person, row in enumerate(rows):
         sd[row] = free.sd * options.looseness
-        # what the tracker itself sized, as it does people's forearms, it knows better than a prior
+        # by the body before tracking: the prior leaves parts as the tracker sized them, such as forearms
         one = seen[persons.index(person)]
         centre[row] = usual_lengths(one.given or one.tracks.body, free)
     objective = "truth" if truths else "held"
@@ -236,8 +239,8 @@ def search_of(
     return Search(free, tuple(parts), icp, objective, tuple(rows), sd, centre, held, options.noise, names)
 
 
-def _all_names(search: Search) -> tuple[str, ...]:
-    """A name for every entry of the vector; with several persons their own end in the person's number."""
+def _name_entries(search: Search) -> tuple[str, ...]:
+    """Names of all entries of the vector; with several persons, those of one person end in the person's number."""
     out, persons = [""] * len(search.sd), len(search.rows)
     for person, rows in enumerate(search.rows):
         for name, row in zip(search.free.names, rows):
@@ -246,7 +249,7 @@ def _all_names(search: Search) -> tuple[str, ...]:
 
 
 def _fingerprint(search: Search, options: FitSettings) -> str:
-    """What a saved search must agree in to be gone on with."""
+    """Hash of the inputs that a saved search must agree in to be resumed."""
     arrays = [np.asarray(v).tobytes() for p in search.parts for v in jax.tree.leaves((p.body, p.frames.points.xyz))]
     stop = repr(replace(options, iterations=0))
     return hashlib.sha256(

@@ -1,8 +1,8 @@
 """Fits of a body's sizes with the flexible tracker, to images with depth.
 
-As in fitting.fit, half of a frame's points hold the pose and the other half judge the sizes; here the pose is what the
-refinement makes of the tracked one: points pull, springs and limits hold. Particles are held fixed: through drawing
-them anew there is no useful derivative (docs/flexible.md). Derivatives are taken forward, one tangent a parameter.
+As in fitting.fit, half of a frame's points determine the pose and the other half judge the sizes. Here the pose is the
+tracked one after refinement, in which points pull and springs and limits hold. Particles are held fixed, since
+resampling has no useful derivative (docs/flexible.md). Derivatives are taken forward, one tangent per parameter.
 """
 
 import hashlib
@@ -38,7 +38,7 @@ from voodoo_jax.fitting.gauss_newton import (
     spread,
 )
 from voodoo_jax.fitting.gauss_newton import PARTS as LEFT_OUT
-from voodoo_jax.fitting.judge import is_size, judged_by, verdict_on, weakly_determined
+from voodoo_jax.fitting.judge import SIZES, is_size, judged_by, verdict_on, weakly_determined
 from voodoo_jax.fitting.objective import FEW, JOINT_SD, PER_LIMB, POINT_SD, ROBUST, Objective, as_distances
 from voodoo_jax.fitting.parameters import Parameters, changed, parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
@@ -49,15 +49,13 @@ from voodoo_jax.records.recording import Recording
 from voodoo_jax.trackers.base import LogInfo, source_of, source_of_log, tracker_of
 from voodoo_jax.trackers.flexible.cylinders import PARTS, surface_distance
 from voodoo_jax.trackers.flexible.filters import clothed, refined
-from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS, FlexibleBody, flexible_body
+from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMB_NAMES, POINTS, FlexibleBody, flexible_body
 from voodoo_jax.trackers.flexible.poses import centres_of
 from voodoo_jax.trackers.flexible.tracker import Followed, Observed, chosen_points, followed, looks, numbers, observe
 from voodoo_jax.trackers.flexible.vectors import vectors
 
-ROUNDS = 16  # of the refinement: twice those of tracking, for sizes change on the way; by hand
-SIZES = ("scale", "shape", "lengths", "radii", "anchors")  # what of a body the flexible one has
-_LIMBS = [f"{s}_{n}" for ns in (("upper_arm", "forearm", "hand"), ("thigh", "shank", "foot")) for s in "lr" for n in ns]
-PART_LIMBS = (*_LIMBS, "head", "chest", "pelvis")  # of the flexible body's parts the limbs of a person's body
+ROUNDS = 16  # rounds of refinement: twice those of tracking, since sizes change during the fit; by hand
+PART_LIMBS = (*LIMB_NAMES, "head", "chest", "pelvis")  # limb of a person's body for each part of the flexible body
 
 
 class FlexibleFrames(eqx.Module):
@@ -65,19 +63,19 @@ class FlexibleFrames(eqx.Module):
 
     x: Float[Array, "frame 16 3"]  # as tracked, metres
     points: Float[Array, "frame point 3"]
-    solve: Float[Array, "frame point"]  # what each counts for the pose
-    held: Float[Array, "frame point"]  # what it counts as a judge: points do one of both
-    bare: Float[Array, "frame point"]  # how likely each is skin, 0..1
-    news: Float[Array, "frame part"]  # what the frame says of a part that no other frame says, 0..1
+    solve: Float[Array, "frame point"]  # weight of each point for the pose
+    held: Float[Array, "frame point"]  # weight of each point as a judge; one of both weights is 0
+    bare: Float[Array, "frame point"]  # probability that each is skin, 0..1
+    news: Float[Array, "frame part"]  # new information of the frame about each part, 0..1; see frames.news
     truth: Float[Array, "frame centre 3"] | None  # joint centres, metres
     known: Bool[Array, "frame centre"] | None
-    shift: Float[Array, "frame centre 3"]  # from the point of its name to each joint centre, metres
+    shift: Float[Array, "frame centre 3"]  # offset from the point of its name to each joint centre, metres
     floor: Float[Array, "frame 4"]  # normal upwards and offset, metres
     weight: Float[Array, " frame"]  # 0: padding
 
 
 class Sums(NamedTuple):
-    """Of each frame half the squared deviations, and what a Gauss-Newton step needs."""
+    """For each frame half the squared deviations, and the sums of a Gauss-Newton step."""
 
     cost: Float[Array, " frame"]
     slope: Float[Array, "frame free"]
@@ -87,7 +85,7 @@ class Sums(NamedTuple):
 def frame_residuals(
     body: FlexibleBody, frame: FlexibleFrames, centres: tuple[str, ...], legs_apart: float, objective: Objective
 ) -> Float[Array, " residual"]:
-    """Residuals of one frame (no leading axes) in standard deviations: of points held back, or true joint centres."""
+    """Residuals of one frame (no leading axes) in standard deviations: of held-back points or true joint centres."""
     x = refined(body, frame.x, frame.points, frame.solve, ROUNDS, legs_apart, frame.floor, frame.bare)
     if objective == "truth":
         assert frame.truth is not None and frame.known is not None
@@ -103,7 +101,7 @@ def frame_residuals(
     return off * jnp.sqrt(geman_mcclure_root(off**2, ROBUST)) * share / POINT_SD
 
 
-# 6 parameters: those of the program that it is
+# 6 parameters: those of the compiled program
 def _sums(body: Body, frames: FlexibleFrames, x, maps, legs_apart: float, objective: Objective) -> Sums:
     free = Parameters((), np.zeros(0), maps, True)  # the names are not needed here
 
@@ -136,7 +134,7 @@ class FlexiblePart(NamedTuple):
 
 @dataclass(frozen=True)
 class FlexibleSearch:
-    """What is fitted to what; as gauss_newton.Search, which runs it."""
+    """Parameters and recordings of a fit, for gauss_newton.run_search; as gauss_newton.Search."""
 
     free: Parameters  # of one person
     parts: tuple[FlexiblePart, ...]
@@ -156,20 +154,20 @@ class FlexibleSearch:
             here = jnp.asarray(x[self.rows[part.person]], jnp.float32)
             sums = compiled_sums()(part.body, part.frames, here, maps, self.legs_apart, self.objective)
             found.append(jax.tree.map(lambda a: np.asarray(a, np.float64), sums))
-            loss += self._share() * float(found[-1].cost.sum())
+            loss += self._weigh() * float(found[-1].cost.sum())
             if self.objective == "held":
                 loss += 0.5 * height_misfit(part.body, self.free, x[self.rows[part.person]])[0] ** 2
         if not np.isfinite(loss):
-            raise FitError("the sizes on the way are no body any more; fewer may be free (--free)")
+            raise FitError("the search left the range of possible bodies; free fewer parameters (--free)")
         good = tuple(np.ones(len(sums.cost), bool) for sums in found)
         return Place(loss, good, tuple(sums.cost for sums in found), (), tuple(found))
 
     def step(self, x: Float64[np.ndarray, " all"], here: Place, without: int = -1) -> Step:
-        """What a step from x needs; `without` one of the parts of every recording that spreads are found by."""
+        """Sums of a step from x; `without` the part of every recording to leave out."""
         slope, curve = (x - self.centre) / self.sd**2, np.zeros((len(x), len(x)))
         for part, sums in zip(self.parts, here.found):
             rows, there = self.rows[part.person], np.arange(len(sums.cost)) * LEFT_OUT // len(sums.cost) != without
-            share = self._share() * len(there) / there.sum()
+            share = self._weigh() * len(there) / there.sum()
             slope[rows] += share * sums.slope[there].sum(0)
             curve[np.ix_(rows, rows)] += share * sums.curve[there].sum(0)
             if self.objective == "held":
@@ -179,14 +177,14 @@ class FlexibleSearch:
         return Step(slope, curve)
 
     def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float:
-        """By how much the loss is smaller at `other`."""
+        """Decrease of the loss from x to `other`."""
         return here.loss - there.loss
 
     def body(self, x: Float64[np.ndarray, " all"], part: FlexiblePart) -> Body:
-        """A recording's body at x."""
+        """The body of a recording at x."""
         return changed(part.body, self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32)))
 
-    def _share(self) -> float:
+    def _weigh(self) -> float:
         return (POINT_SD / self.noise) ** 2 if self.objective == "held" else 1.0
 
 
@@ -199,7 +197,7 @@ class Watched(NamedTuple):
     followed: Followed
 
 
-# 7 parameters: what `fit` hands on
+# 7 parameters: those of `fit`
 def fit_flexible(
     body: Body,
     logs: Sequence[Any],
@@ -209,10 +207,10 @@ def fit_flexible(
     state: str | os.PathLike[str] | None = None,
     say: Callable[[str, Progress | None], None] | None = None,
 ) -> Fit:
-    """`fit` with the flexible tracker; arguments and errors as there."""
+    """`fit` with the flexible tracker; the same arguments and errors."""
     tell = say or (lambda what, progress: None)
     if options.folds:
-        raise FitError("folds tune what the ICP tracker has: set tracker to icp, or leave folds out")
+        raise FitError("folds fit parameters of the ICP tracker: set tracker to icp, or leave folds out")
     free = parameters(body, options.free, (), options.mirrored)
     if others := [name for name in free.names if not name.startswith(SIZES)]:
         raise FitError(f"the flexible tracker has no {others[0]}: fit it with the ICP tracker (tracker icp)")
@@ -220,17 +218,17 @@ def fit_flexible(
     with ExitStack() as opened:
         seen = [watched(body, log, settings, opened, tell) for log in logs]
         search = search_of(body, seen, settings, options, free, known)
-        progress, place = _searched(search, options, state, tell)
+        progress, place = _run_saved_search(search, options, state, tell)
         cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
         stays = weakly_determined(free.names * len(search.rows), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
-        if stays.any():  # what the recordings do not tell stays, and the others are found anew beside it
+        if stays.any():  # weakly determined sizes keep their start values, and the others are fitted again
             progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
             progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE)
         tell("judging", progress)
         judged = []
         for one, part, truth in zip(seen, search.parts, known):
             new = part.body if stays.all() else search.body(progress.x, part)
-            before, after = (_again(one, body, settings) for body in (part.body, new))
+            before, after = (_track_again(one, body, settings) for body in (part.body, new))
             judged.append(judged_by(before, after, part.person, truth))
     sizes = is_size(free.names * len(search.rows)) & ~stays
     usual = search.sd / options.looseness
@@ -251,7 +249,7 @@ def fit_flexible(
 def watched(
     body: Body, log: Any, settings: Settings, opened: ExitStack, tell: Callable[[str, Progress | None], None]
 ) -> Watched:
-    """A log tracked; its images wait on disk until `opened` is closed."""
+    """Tracks a log; its features stay on disk until `opened` is closed."""
     source, observed = observed_log(body, log, settings, opened, lambda name: tell(f"tracking {name}", None))
     found = followed(body, observed, settings, source.path, source.fixed_frame, source.notes())
     if found.found is None:
@@ -264,7 +262,7 @@ def watched(
 def observed_log(
     body: Body, log: Any, settings: Settings, opened: ExitStack, tell: Callable[[str], None]
 ) -> tuple[LogInfo, Observed]:
-    """A log as the filters take it; its features wait on disk until `opened` is closed; `tell` hears its name."""
+    """Reads a log as input of the filters; its features stay on disk until `opened` is closed; `tell` gets its name."""
     if isinstance(log, Recording):
         source, frames = source_of(log), iter(log)
     else:
@@ -277,18 +275,18 @@ def observed_log(
     return source, observed
 
 
-def _again(one: Watched, body: Body, settings: Settings):
-    """A recording tracked with a body of known size."""
+def _track_again(one: Watched, body: Body, settings: Settings):
+    """Tracks a recording with a body of known size."""
     known = replace(settings, start=replace(settings.start, scale=float(body.scale)))
     return followed(body, one.observed, known, one.name, one.fixed_frame).tracks
 
 
-# 6 parameters: what `fit` hands on
+# 6 parameters: those of `fit`
 def search_of(
     body: Body, seen: Sequence[Watched], settings: Settings, options: FitSettings, free: Parameters,
     truths: Sequence[Truth | None],
 ) -> FlexibleSearch:  # fmt: skip
-    """What is free, and well tracked frames to fit it to."""
+    """Sets up the search: free parameters, priors, and well tracked frames."""
     persons = [0 if options.persons == "one" else k for k in range(len(seen))]
     scale = {
         k: np.median([float(s.followed.tracks.body.scale) for s, p in zip(seen, persons) if p == k]) for k in persons
@@ -349,11 +347,11 @@ def frames_of(
     )  # fmt: skip
 
 
-def _searched(
+def _run_saved_search(
     search: FlexibleSearch, options: FitSettings, state: str | os.PathLike[str] | None,
     tell: Callable[[str, Progress | None], None],
 ) -> tuple[Progress, Place]:  # fmt: skip
-    """The search, saved in `state` after each step and gone on with from there."""
+    """Runs the search, saved in `state` after each step and resumed from it."""
     told = [repr(replace(options, iterations=0)).encode(), "\n".join(search.free.names).encode()]
     arrays = [np.asarray(v).tobytes() for p in search.parts for v in jax.tree.leaves((p.body, p.frames))]
     mark = hashlib.sha256(b"".join([*arrays, *told])).hexdigest()

@@ -1,8 +1,8 @@
-"""What people have in common, judged by people it was not found from: cross-validation over recordings.
+"""Cross-validation over recordings for parameters shared by all people.
 
-Bands, measurement weights and options of the solve are one for all. Time held back in the recordings that they are
-fitted to says little about other people, so whole recordings are left out: each fold is tracked with what the others
-gave.
+Bands, measurement weights and options of the solve are the same for everybody. Time held back in the fitted recordings
+says little about other people, so whole recordings are left out: each fold is tracked with the parameters fitted to the
+others.
 """
 
 import os
@@ -22,14 +22,15 @@ from voodoo_jax.fitting.parameters import parameters
 from voodoo_jax.fitting.result import Fit
 from voodoo_jax.model.body import Body
 
-# Times that priors are wider than where nobody left out judges. Measured (experiments/fit/folds.py, arms whose weights
-# are wrong by factors of 4): joints left out 1.73, 1.58, 1.50 cm with priors 1, 2, 4 times as wide; right weights 1.50.
+# Factor on the width of the priors, compared with fits without folds. Measured (experiments/fit/folds.py, arms whose
+# weights are wrong by factors of 4): joints of left-out recordings 1.73, 1.58, 1.50 cm off with priors 1, 2, 4 times as
+# wide; with correct weights 1.50.
 WIDER = 4.0
 
 
 def folds_of(count: int, folds: int) -> list[range]:
-    """Recordings in the order given, cut into runs of nearly one length: a person's recordings, given one after the
-    other, are mostly in one fold. Raises FitError where there are fewer recordings than folds."""
+    """Splits recordings, in the order given, into runs of nearly equal length, so that consecutive recordings of a
+    person are mostly in one fold. Raises FitError with fewer recordings than folds."""
     if not 2 <= folds <= count:
         raise FitError(f"{folds} folds of {count} recordings: say --folds from 2 to the number of recordings")
     ends = np.linspace(0, count, folds + 1).round().astype(int).tolist()
@@ -37,16 +38,16 @@ def folds_of(count: int, folds: int) -> list[range]:
 
 
 def check_common(names: Sequence[str]) -> None:
-    """Raises FitError where something free is a person's own."""
+    """Raises FitError if a free parameter belongs to a single person."""
     if alone := [n for n in names if not n.startswith(SHARED)]:
         raise FitError(
-            f"folds judge what people have in common, and {alone[0]} is a person's own: "
+            f"folds judge parameters shared by all people, and {alone[0]} belongs to one person: "
             "say --free bands or --free 'measurement weights', or leave --folds out"
         )
 
 
 def with_bands(body: Body, was: Body, now: Body) -> Body:
-    """A body, of any size, with its bands changed as another's are from `was` to `now`."""
+    """A body, of any size, with its bands changed as those of another body from `was` to `now`."""
     grown = float(now.scale) / float(was.scale)
     weights = np.asarray(body.weights) * np.asarray(now.weights) / np.asarray(was.weights)
     there = np.asarray(was.axes) > 0
@@ -61,10 +62,10 @@ def fit_folds(
     truths: Sequence[TruthLike] = (),
     say: Callable[..., None] | None = None,
 ) -> Fit:
-    """A fit to all recordings; whether it is better say recordings that were left out, `options.folds` times some.
+    """Fits to all recordings, and judges by `options.folds` fits, each to all recordings but one fold.
 
-    Every recording's person has a body of its own meanwhile; `body` is the given one with the bands found.
-    Raises FitError, also where sizes are free: those are a person's own.
+    During the fit the person of each recording has a separate body; the Fit's `body` is the given one with the fitted
+    bands. Raises FitError, also if sizes are free, since these belong to one person.
     """
     own = replace(options, folds=0, persons="each", looseness=options.looseness * WIDER)
     start = seen[0].given or seen[0].tracks.body
@@ -86,7 +87,7 @@ def fit_folds(
 
 
 def left_out(one: Seen, found: Found, settings: Settings, truth: TruthLike) -> Judged:
-    """A recording that a fit did not see, tracked with what was there before and with what it found; all counts."""
+    """Judges a fit by a recording that it did not use, tracked with the body before and after; all frames count."""
     known = read_truth(truth) if isinstance(truth, (str, os.PathLike)) else truth
     before = track_again(one, one.tracks.body, settings).tracks
     tuned = with_bands(one.tracks.body, found.starts[0], found.fitted[0])

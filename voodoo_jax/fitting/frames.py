@@ -1,6 +1,6 @@
-"""The frames that a fit looks at, chosen from tracked recordings: some of a frame's points to solve on, some to fit to.
+"""Selects the frames of a fit from tracked recordings, with some of a frame's points to solve on and others to fit to.
 
-Host side. Which frames and points are chosen depends on the recording alone: the same on every run.
+Host side. The selection depends on the recording alone, so it is the same on every run.
 """
 
 import os
@@ -21,17 +21,16 @@ from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import Topology
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket, pad_features, pad_frames
 from voodoo_jax.storage.troubles import opened_file
 
-RUNS, EVERY = 16, 3  # a log is cut into so many runs of time; every third is fitted to, the others judge
-FEWEST = 8  # frames to fit to
-HALF_FRAME_NS = 17_000_000  # a truth further away in time belongs to another frame
-ALIKE = 0.2  # radians: a limb in frames whose angles differ by less is seen alike
-WELL = 1.5  # times the median residual: frames above it are not well tracked
+RUNS, EVERY = 16, 3  # a log is cut into this many runs of time; every third is fitted to, the others judge
+FEWEST = 8  # least number of frames to fit to
+HALF_FRAME_NS = 17_000_000  # a truth at a larger time difference belongs to another frame
+ALIKE = 0.2  # radians: views of a limb whose angles differ by less count as the same
+WELL = 1.5  # times the median residual: frames above are not well tracked
 
 
 class Truth(NamedTuple):
@@ -39,15 +38,15 @@ class Truth(NamedTuple):
 
     time_ns: Int64[np.ndarray, " time"]
     names: tuple[str, ...]
-    joints: Float64[np.ndarray, "time joint 3"]  # metres, in the fixed frame of the log; NaN: not known
+    joints: Float64[np.ndarray, "time joint 3"]  # metres, in the fixed frame of the log; NaN: unknown
 
 
 class TruthError(ValueError):
-    """A truth file that cannot be used."""
+    """The truth file cannot be used."""
 
 
 def read_truth(path: str | os.PathLike[str]) -> Truth:
-    """Joint centres from an .npz with `time_ns`, `joints` [time, joint, 3] and `joint_names` (or `names`).
+    """Reads joint centres from an .npz with `time_ns`, `joints` [time, joint, 3] and `joint_names` (or `names`).
 
     Raises TruthError.
     """
@@ -70,19 +69,19 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
 
 
 def runs(count: int) -> Int[np.ndarray, " frame"]:
-    """Which run of time each of a log's frames is in."""
+    """The run of time of each of a log's frames."""
     return np.arange(count) * RUNS // max(count, 1)
 
 
 def held_back(count: int) -> Bool[np.ndarray, " frame"]:
-    """Which of a log's frames nothing is fitted to: whole runs of time, for neighbours are alike."""
+    """Which of a log's frames are held back from the fit: whole runs of time, since neighbouring frames are alike."""
     return runs(count) % EVERY > 0
 
 
 def chosen_frames(tracks: Tracks, points: Int[np.ndarray, " frame"], count: int) -> np.ndarray:
-    """Up to `count` well tracked frames that are not held back, evenly spread. Raises ValueError if there are few.
+    """Up to `count` well tracked frames that are not held back, evenly spread. Raises ValueError with too few frames.
 
-    **Arguments:** `points` how many each frame has.
+    **Arguments:** `points` number of points of each frame.
     """
     residual = np.where(tracks.tracked, tracks.evidence.residual, np.inf)
     seen = (points >= 60) & ~held_back(len(points))
@@ -98,13 +97,13 @@ def chosen_frames(tracks: Tracks, points: Int[np.ndarray, " frame"], count: int)
 
 
 def feature_names(people: list[BodyObservation], topology: Topology, settings: FeatureSettings) -> tuple[str, ...]:
-    """Names of the features of some frames that the body has a point for."""
+    """Names of the features in some frames for which the body has a point."""
     names = FeatureNames(topology, settings)
     found = sorted({name for f in people for name in (*f.rays.names, *f.pairs.names)})
     return tuple(name for name in found if names.look_up(name))
 
 
-# 10 parameters: what a recording says of itself, and how frames are chosen
+# 10 parameters: the recording, and how its frames are used
 def fit_frames(
     tracks: Tracks,
     people: list[BodyObservation],
@@ -120,7 +119,7 @@ def fit_frames(
     """Frames of one recording, padded to `count`, each with up to `points` points to solve on and as many to fit to.
 
     **Arguments:** `at` which frames (see chosen_frames); `names` of the measurement weights that may be free; `log`
-    number of the recording; `markers` named places judge only, otherwise half of the features of a frame do.
+    number of the recording; `markers` named points only judge; otherwise half of a frame's features judge.
     """
     solve, judge, people = [], [], [as_measured(frame) for frame in people]
     for number, frame in enumerate(people[i] for i in at):
@@ -129,10 +128,9 @@ def fit_frames(
         for k in (0, 1):
             mask = np.zeros(len(frame.points), bool)
             mask[order[k::2]] = True
-            rays = [i for i in range(len(frame.rays.names)) if (i + number) % 2 == k]
-            pairs = [i for i in range(len(frame.pairs.names)) if (k == 1 if markers else (i + number) % 2 == k)]
-            part = frame.only(mask)
-            parts.append(replace(part, rays=_some_rays(frame.rays, rays), pairs=_some_pairs(frame.pairs, pairs)))
+            rays, pairs = ((np.arange(len(each.names)) + number) % 2 == k for each in (frame.rays, frame.pairs))
+            pairs = np.full(len(pairs), k == 1) if markers else pairs
+            parts.append(replace(frame.only(mask), rays=frame.rays.only(rays), pairs=frame.pairs.only(pairs)))
         solve.append(parts[0])
         judge.append(parts[1])
     sensors, capacity = len(people[0].origins), bucket(points)
@@ -143,13 +141,13 @@ def fit_frames(
     numbered = FeatureNames(tracks.body.topology, features)
     for row, name in enumerate(names, 1):
         numbered.weights[numbered.plain(name)] = float(row)
-    rows = pad_features([_unweighted(f) for f in solve], count, room, numbered, choices)
+    rows = pad_features([_drop_weights(f) for f in solve], count, room, numbered, choices)
     known = None
     if truth is not None:
         known = truth_at(truth, [people[i].time_ns for i in at], tracks.body.topology, count)
         known[: len(at)] -= placed_by(tracks, at)
     origins = np.stack([people[i].origins.mean(0) for i in at])
-    poses = _padded(Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at])), count)
+    poses = _pad(Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at])), count)
     return FitFrames(
         points=pad_frames(solve, capacity, count, None, sensors).points,
         held=pad_frames(judge, capacity, count, None, sensors).points,
@@ -166,9 +164,9 @@ def fit_frames(
 
 
 def placed_by(tracks: Tracks, at: Int[np.ndarray, " chosen"]) -> Float[np.ndarray, "chosen centre 3"]:
-    """How far stages after the poses moved the joints of some frames from the body's own centres, metres.
+    """Offsets by which stages after the pose moved the joints of some frames from the body's own centres, metres.
 
-    A pose that is fitted to known joints has to have its centres so far from them, for they are moved again.
+    A pose fitted to known joints must keep its centres at these offsets from them, since the stages move them again.
     """
     limbs = np.array(tracks.body.topology.centre_limbs, int)
     poses = Poses(tracks.rotation[at][:, limbs], tracks.translation[at][:, limbs])
@@ -178,12 +176,12 @@ def placed_by(tracks: Tracks, at: Int[np.ndarray, " chosen"]) -> Float[np.ndarra
 def news(
     tracks: Tracks, origins: Float[np.ndarray, "chosen 3"], at: Int[np.ndarray, " chosen"], count: int
 ) -> Float64[np.ndarray, "frame limb"]:
-    """What each chosen frame says of each limb that the others do not say, 0..1; zero for padding.
+    """New information of each chosen frame about each limb, 0..1; zero for padding.
 
-    Where a person differs from cylinders, she does so again in every frame in which the limb is seen alike: such frames
-    share one vote. Alike: the same angles to the limbs it hangs together with and to the line of sight.
+    A person differs from cylinders in the same way in all frames with the same view of a limb, so these frames share
+    one vote. Views are the same if the angles of the limb to its neighbours and to the line of sight are the same.
 
-    **Arguments:** `origins` from where each chosen frame was seen, metres.
+    **Arguments:** `origins` position of the sensor in each chosen frame, metres.
     """
     t = tracks.body.topology
     axes = Rotation.from_quat(tracks.rotation[at].reshape(-1, 4), scalar_first=True).apply([0.0, 0.0, 1.0])
@@ -210,24 +208,14 @@ def truth_at(truth: Truth, stamps: list[int], topology: Topology, count: int) ->
                 if name in topology.centres:
                     out[i, topology.centres.index(name)] = truth.joints[k, j]
     if not np.isfinite(out).any():
-        raise TruthError("the truth has no joint of this body at the times of the log: do they belong together?")
+        raise TruthError("the truth has no joint of this body at the times of the log: is it the truth of this log?")
     return out
 
 
-def _padded(poses: Poses, count: int) -> Poses:
-    """Poses with the last one repeated."""
+def _pad(poses: Poses, count: int) -> Poses:
+    """Poses padded to `count` frames by the last one."""
     return jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], count - len(x), 0)]), poses)
 
 
-def _some_rays(rays: Rays, rows: list[int]) -> Rays:
-    weights = None if rays.weights is None else rays.weights[rows]
-    return Rays(tuple(rays.names[i] for i in rows), rays.origins[rows], rays.directions[rows], weights)
-
-
-def _some_pairs(pairs: Pairs, rows: list[int]) -> Pairs:
-    weights = None if pairs.weights is None else pairs.weights[rows]
-    return Pairs(tuple(pairs.names[i] for i in rows), pairs.points[rows], weights)
-
-
-def _unweighted(frame: BodyObservation) -> BodyObservation:
+def _drop_weights(frame: BodyObservation) -> BodyObservation:
     return replace(frame, rays=replace(frame.rays, weights=None), pairs=replace(frame.pairs, weights=None))

@@ -1,4 +1,4 @@
-"""A body's sizes, joints and bands from recordings: `fit`."""
+"""Fits a body's sizes, joints and bands to recordings: `fit`."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -30,12 +30,12 @@ def fit(
     *,
     free: Sequence[str] = (),
 ) -> Fit:
-    """Tunes a body to recordings, or to their truth where one is given; the Fit's `body` is the better one of the body
-    before and the fitted one (see fitting.judge), `better` says which.
+    """Fits a body to recordings, or to their true joint centres. The Fit's `body` is the better one of the body before
+    and the fitted body (see fitting.judge); `better` says which.
 
-    **Arguments:** `logs` paths or recordings; `truths` one for each log: then joint centres are what is fitted to;
-    `state` a file that the search is saved in after every step, and resumed from; `say` hears what is being done, step
-    by step; `free` what may change, instead of what `options` say.
+    **Arguments:** `logs` paths or recordings; `truths` one for each log, to fit to joint centres; `state` a file in
+    which the search is saved after every step, and from which it resumes; `say` is called with the task and the state
+    of the search after every step; `free` names of the free parameters, instead of those in `options`.
 
     Raises FitError, LogError, TruthError, ValueError (unknown parameters).
     """
@@ -45,15 +45,15 @@ def fit(
     if not logs:
         raise FitError("name at least one log to fit to")
     if options.folds:
-        folds_of(len(logs), options.folds)  # before anything is tracked
+        folds_of(len(logs), options.folds)  # check before tracking
     if truths and len(truths) != len(logs):
         raise FitError(f"{len(logs)} logs, but {len(truths)} truths: give one for each log, in the same order")
     if settings.tracker == "both":
-        raise FitError("sizes are fitted with one of both trackers: set tracker to icp or flexible")
+        raise FitError("sizes are fitted with a single tracker: set tracker to icp or flexible")
     if settings.tracker == "flexible":
         return fit_flexible(body, logs, settings, options, truths, state, say)
     if truths and not all_shared(options.free):
-        # joints are where the fit puts them: what was learned of other people would move them again
+        # the fit places the joints: a stage learned from other people would move them again
         settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, "place_joints")))
     tell = say or (lambda what, progress: None)
     seen = tracked(body, logs, settings, lambda what: tell(what, None))
@@ -63,5 +63,5 @@ def fit(
 
 
 def all_shared(free: Sequence[str]) -> bool:
-    """Whether words and patterns of what is free name nothing but what several persons have in common."""
+    """Whether all words and patterns of free parameters name parameters shared by all persons."""
     return all(word == "measurement weights" or f"{word}.".startswith(SHARED) for word in free)

@@ -1,8 +1,9 @@
-"""The search: damped Gauss-Newton over the parameters of all persons, step by step; it can be stopped and resumed.
+"""The search: damped Gauss-Newton over the parameters of all persons; it can be stopped and resumed after every step.
 
-Every step solves all frames anew from where the last step left them and takes one tangent per parameter through the
-implicit solution. optimistix' Levenberg-Marquardt would solve them twice a step and from their first poses; its
-minimisers tune what is no least squares (fitting.tuning). Both end at the same place (tests/fitting/test_fit.py).
+Every step solves all frames again from the poses of the last step and takes one tangent per parameter through the
+implicit solution. optimistix' Levenberg-Marquardt would solve them twice per step and from their first poses; its
+minimisers are used for losses that are not least squares (fitting.tuning). Both find the same minimum
+(tests/fitting/test_fit.py).
 """
 
 from collections.abc import Callable
@@ -25,12 +26,12 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.solve.pulls import IcpOptions
 
-GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
-SURE = 2.0  # a size that moved by less than so many of its spreads between parts of the recordings stays
-FEW_MORE = 4  # steps beside what stays
-PARTS = 4  # parts of a recording that the spread of the sizes is looked at over
-KNOWN = 0.1  # information of the data over that of data and prior: with less a size is not determined
-FEWEST = 6  # frames of a log that must be at rest
+GAIN, LEAST = 1e-4, 0.02  # a step that gains less than this share of the loss, plus this, is the last
+SURE = 2.0  # a size keeps its start value if it moved by less than this many spreads between parts of the recordings
+FEW_MORE = 4  # further steps while some sizes are held
+PARTS = 4  # parts of a recording, left out in turn for the spread of the sizes
+KNOWN = 0.1  # least share of the data in the information on a size, of data and prior
+FEWEST = 6  # least number of frames of a log at rest
 
 
 class Part(NamedTuple):
@@ -38,19 +39,19 @@ class Part(NamedTuple):
 
     name: str
     body: Body  # before the fit
-    frames: FitFrames  # those that are fitted to have weight, padding has none
+    frames: FitFrames  # weight 0: padding
     person: int
 
 
 @dataclass(frozen=True)
 class Place:
-    """All recordings solved at one place."""
+    """All recordings solved at one parameter vector."""
 
     loss: float  # half the squared deviations, priors included
     at_rest: tuple[np.ndarray, ...]  # [frame] of each recording
     costs: tuple[np.ndarray, ...]  # [frame] of each recording, half the squared deviations; 0 where not at rest
     poses: tuple[Poses, ...]
-    found: tuple[Any, ...]  # what the search's own steps need
+    found: tuple[Any, ...]  # inputs of the search's `step`
 
 
 class Step(NamedTuple):
@@ -62,7 +63,7 @@ class Step(NamedTuple):
 
 @runtime_checkable
 class Searched(Protocol):
-    """What is searched over: the parameters' priors, and what a place costs."""
+    """A problem for run_search: the parameters' priors, and the loss and its derivatives."""
 
     @property
     def sd(self) -> Float64[np.ndarray, " all"]: ...
@@ -74,10 +75,10 @@ class Searched(Protocol):
 
 
 class FitError(ValueError):
-    """A fit that cannot be made; says why, and what to try."""
+    """The fit is not possible; says why, and what to try."""
 
 
-# two programs: most places are only looked at, and they are compiled at the same time
+# two programs, compiled at the same time: most parameter vectors need no derivatives
 @cache
 def compiled_placed() -> Callable[..., Placed]:
     return quickly(placed)
@@ -89,8 +90,8 @@ def compiled_normals() -> Callable[..., Normals]:
 
 
 @eqx.filter_jit
-def _height_off(body: Body, x, maps) -> tuple[Array, Array]:
-    """Logarithm of the changed body's height over what was measured, and its derivative."""
+def _compute_height_error(body: Body, x, maps) -> tuple[Array, Array]:
+    """Logarithm of the changed body's height over the measured height, and its derivative."""
     measured = height_ratio(body) * body.scale
     return jax.value_and_grad(lambda x: jnp.log(height_of(changed(body, changes_at(maps, x))) / measured))(x)
 
@@ -98,18 +99,18 @@ def _height_off(body: Body, x, maps) -> tuple[Array, Array]:
 def height_misfit(
     body: Body, free: Parameters, x: Float64[np.ndarray, " free"]
 ) -> tuple[float, Float64[np.ndarray, " free"]]:
-    """How far a body changed by x is from the height that was measured, in standard deviations, and its slope; nothing
-    where what was measured is no height: an arm's reach."""
+    """Deviation of a body changed by x from the measured height, in standard deviations, and its derivative; 0 if the
+    body's scale is not a height, such as an arm's reach."""
     if body.scale_name != "stature":
         return 0.0, np.zeros(len(x))
     maps = tuple(jnp.asarray(m, jnp.float32) for m in free.maps)
-    off, slope = _height_off(body, jnp.asarray(x, jnp.float32), maps)
+    off, slope = _compute_height_error(body, jnp.asarray(x, jnp.float32), maps)
     return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT
 
 
 @dataclass(frozen=True)
 class Search:
-    """What is fitted to what. `rows[person]` says which entries of the vector are a person's parameters."""
+    """Parameters and recordings of a fit. `rows[person]`: entries of the vector that are a person's parameters."""
 
     free: Parameters  # of one person
     parts: tuple[Part, ...]
@@ -118,20 +119,20 @@ class Search:
     rows: tuple[np.ndarray, ...]
     sd: Float64[np.ndarray, " all"]
     centre: Float64[np.ndarray, " all"]  # of the priors
-    held: Bool[np.ndarray, " all"]  # what stays where it is: the recordings do not tell
+    held: Bool[np.ndarray, " all"]  # entries that keep their values
     noise: float = POINT_SD  # standard deviation of a point, metres
     features: tuple[str, ...] = ()  # names of the measured features
 
     def height(self, x: Float64[np.ndarray, " all"], part: Part) -> tuple[float, Float64[np.ndarray, " free"]]:
-        """That of a recording's body at x, see height_misfit."""
+        """height_misfit of the body of a recording at x."""
         return height_misfit(part.body, self.free, x[self.rows[part.person]])
 
-    def _prior(self, x: Float64[np.ndarray, " all"]) -> float:
+    def _compute_prior_loss(self, x: Float64[np.ndarray, " all"]) -> float:
         return 0.5 * float(np.sum(((x - self.centre) / self.sd) ** 2))
 
-    def _share(self, part: Part, good: np.ndarray) -> float:
-        """What the deviations of a recording's frames count."""
-        # frames that do not come to rest weigh nothing; the others stand in for them, so that losses compare
+    def _weigh(self, part: Part, good: np.ndarray) -> float:
+        """Weight of the squared deviations of a recording's frames."""
+        # frames that do not come to rest are replaced by a higher weight of the others, so that losses compare
         return float(np.asarray(part.frames.weight).sum()) / max(int(good.sum()), 1) * (POINT_SD / self.noise) ** 2
 
     def _inputs(self, x: Float64[np.ndarray, " all"], part: Part) -> tuple:
@@ -139,8 +140,8 @@ class Search:
         return jnp.asarray(x[self.rows[part.person]], jnp.float32), maps, self.objective
 
     def place(self, x: Float64[np.ndarray, " all"], starts: tuple[Poses, ...] = ()) -> Place:
-        """All frames solved at x, and the loss; FitError if nothing is at rest."""
-        loss = self._prior(x)
+        """Solves all frames at x; FitError if too few of them come to rest."""
+        loss = self._compute_prior_loss(x)
         all_found = []
         for part, start in zip(self.parts, starts or tuple(p.frames.poses for p in self.parts)):
             found = compiled_placed()(part.body, self.options, part.frames, start, *self._inputs(x, part))
@@ -150,7 +151,7 @@ class Search:
                     f"{part.name}: only {good.sum()} of {wanted:.0f} frames come to rest; more steps may help "
                     "(--fit.steps), or the log is not tracked well: look at it with voodoo-jax replay --picture"
                 )
-            loss += self._share(part, good) * float(np.asarray(found.cost, np.float64).sum())
+            loss += self._weigh(part, good) * float(np.asarray(found.cost, np.float64).sum())
             if self.objective == "held":
                 loss += 0.5 * self.height(x, part)[0] ** 2
             all_found.append(found)
@@ -158,11 +159,11 @@ class Search:
         return Place(loss, rest, costs, tuple(f.rest.poses for f in all_found), tuple(all_found))
 
     def step(self, x: Float64[np.ndarray, " all"], here: Place, without: int = -1) -> Step:
-        """What a step from x needs; `without` one of PARTS parts of every recording."""
+        """Sums of a step from x; `without` the part of every recording to leave out."""
         slope, curve = (x - self.centre) / self.sd**2, np.zeros((len(x), len(x)))
         for part, found, good in zip(self.parts, here.found, here.at_rest):
             there = good & (np.arange(len(good)) * PARTS // len(good) != without)
-            rows, share = self.rows[part.person], self._share(part, there)
+            rows, share = self.rows[part.person], self._weigh(part, there)
             sums = compiled_normals()(part.body, self.options, part.frames, found, *self._inputs(x, part))
             slope[rows] += share * np.asarray(sums.slope, np.float64)[there].sum(0)
             curve[np.ix_(rows, rows)] += share * np.asarray(sums.curve, np.float64)[there].sum(0)
@@ -173,9 +174,9 @@ class Search:
         return Step(slope, curve)
 
     def compiled(self) -> None:
-        """Compiles both programs for the first recording at the same time; else each is compiled when it is needed.
+        """Compiles both programs for the first recording at the same time, instead of each at its first use.
 
-        Only compiles: two such programs that ran at the same time have waited for each other for ever.
+        Does not run them: two such programs running at the same time have deadlocked.
         """
         part = self.parts[0]
         frames, inputs = part.frames, self._inputs(np.zeros(len(self.sd)), part)
@@ -188,33 +189,33 @@ class Search:
                 job.result()
 
     def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float:
-        """By how much the loss is smaller at `other`, in frames that are at rest at both."""
-        out = self._prior(x) - self._prior(other)
+        """Decrease of the loss from x to `other`, over frames that are at rest in both."""
+        out = self._compute_prior_loss(x) - self._compute_prior_loss(other)
         for k, part in enumerate(self.parts):
             both = here.at_rest[k] & there.at_rest[k]
-            out += self._share(part, both) * float((here.costs[k] - there.costs[k])[both].sum())
+            out += self._weigh(part, both) * float((here.costs[k] - there.costs[k])[both].sum())
             if self.objective == "held":
                 out += 0.5 * (self.height(x, part)[0] ** 2 - self.height(other, part)[0] ** 2)
         return out
 
     def changes(self, x: Float64[np.ndarray, " all"], part: Part) -> Changes:
-        """What x says of a recording's person."""
+        """The changes of the person in a recording at x."""
         return self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32))
 
     def body(self, x: Float64[np.ndarray, " all"], part: Part) -> Body:
-        """A recording's body at x."""
+        """The body of a recording at x."""
         return changed(part.body, self.changes(x, part))
 
 
 def run_search(
     search: Searched, progress: Progress, most: int, say: Callable[[Progress], None] | None = None
 ) -> tuple[Progress, Place]:
-    """Steps until the loss falls no more, or `most` were taken; `say` hears of each one, and may raise to stop."""
+    """Steps until the loss stops falling, or to step `most`; `say` is called after each step, and may raise to stop."""
     place = search.place(progress.x)
     if not progress.losses:
         progress = replace(progress, losses=(place.loss,))
     while not progress.done and progress.step < most:
-        # both sides of a comparison begin with the same poses: a solve that goes on from its own end differs a little
+        # both sides of a comparison start from the same poses: a solve resumed from its own result differs slightly
         starts = place.poses
         here = search.place(progress.x, starts)
         sums = search.step(progress.x, here)
@@ -222,7 +223,7 @@ def run_search(
         full = (full + progress.damping * np.diag(np.diag(full)))[np.ix_(~search.held, ~search.held)]
         step = np.zeros(len(progress.x))
         step[~search.held] = -np.linalg.solve(full, sums.slope[~search.held])
-        # at most one and a half usual deviations at once: matches change on the way
+        # at most 1.5 prior deviations per step, since correspondences change on the way
         step *= min(1.0, 1.5 / max(float(np.max(np.abs(step) / search.sd)), 1e-9))
         share, gain, there = along(search, progress.x, step, here, starts)
         if gain > 0:
@@ -233,7 +234,7 @@ def run_search(
             place = there
         else:
             progress = replace(progress, damping=max(progress.damping, 1e-2) * 10, done=progress.damping > 1)
-        # what was gained in frames that are at rest both times: losses of other frames do not compare
+        # the decrease over frames at rest both times: losses of other frames do not compare
         loss = progress.losses[-1] - max(gain, 0.0)
         progress = replace(progress, step=progress.step + 1, losses=(*progress.losses, loss))
         if say is not None:
@@ -244,16 +245,16 @@ def run_search(
 def along(
     search: Searched, x: np.ndarray, step: np.ndarray, here: Place, starts: tuple[Poses, ...]
 ) -> tuple[float, float, Place]:
-    """Share of the step that gains most, what it gains, and what was found there.
+    """Line search: the best multiple of the step, its gain, and its Place.
 
-    Derivatives know of no point that changes its limb, and these changes are half of the way: twice or four times the
-    step often gains more, and where it gains nothing a part of it may.
+    Derivatives do not include points that change their limb, which are half of the effect: two or four times the step
+    often gains more, and if the whole step gains nothing, a part of it may.
     """
 
     def at(share: float) -> tuple[float, float, Place]:
         try:
             there = search.place(x + share * step, starts)
-        except FitError:  # a body that too few frames come to rest with gains nothing
+        except FitError:  # too few frames come to rest: no gain
             return share, -np.inf, here
         return share, search.gain(x, x + share * step, here, there), there
 
@@ -267,14 +268,14 @@ def along(
 
 
 def covariance(search: Searched, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, "all all"]:
-    """Covariance of the parameters after the fit, from the Gauss-Newton matrix and the priors; of what is held as if it
-    were free."""
+    """Covariance of the parameters after the fit, from the Gauss-Newton matrix and the priors; held parameters count as
+    free."""
     return np.linalg.inv(search.step(x, place).curve + np.diag(1 / search.sd**2))
 
 
 def spread(search: Searched, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, " all"]:
-    """How much every parameter hangs on the part of the recordings that it is found from: standard deviation by
-    leaving out each part in turn (jackknife), by one step from x."""
+    """Standard deviation of every parameter between parts of the recordings: each part is left out in turn (jackknife),
+    with one step from x."""
     found = []
     for part in range(PARTS):
         sums = search.step(x, place, part)
@@ -283,5 +284,5 @@ def spread(search: Searched, x: Float64[np.ndarray, " all"], place: Place) -> Fl
 
 
 def undetermined(sd: Float64[np.ndarray, " all"], prior_sd: Float64[np.ndarray, " all"]) -> Bool[np.ndarray, " all"]:
-    """What the recordings do not tell: less than KNOWN of all that is known of it afterwards comes from them."""
+    """Parameters for which less than the share KNOWN of the final information comes from the recordings."""
     return 1 - (sd / prior_sd) ** 2 < KNOWN

@@ -1,8 +1,8 @@
-"""Whether a fitted body is better than the one before: by tracks of whole recordings, in runs of time held back.
+"""Judges a fitted body against the one before, by tracks of whole recordings in held-back runs of time.
 
-Host side. Where points judge sizes the bands are stiffer than in tracking: soft ones give way to a wrong length. Three
-things must hold: no frames are lost; what was held back lies nearer to the new body, or known joints do, beyond noise;
-and sizes moved by more than they do because a person is not made of cylinders.
+Host side. Where points judge sizes the bands are stiffer than in tracking, since soft bands hide a wrong length.
+The fitted body is better if three conditions hold: no more frames are lost; held-back points, or known joints, are
+closer to it beyond noise; and sizes moved by more than the error of a body made of cylinders.
 """
 
 from collections.abc import Sequence
@@ -18,18 +18,19 @@ from voodoo_jax.fitting.gauss_newton import SURE, undetermined
 from voodoo_jax.fitting.parameters import SYSTEMATIC
 from voodoo_jax.records.tracks import Tracks
 
-ERROR = 0.05  # how often a body that is no better may pass for better because of noise
-UNLIKELY = 0.05  # how often sizes that are right may move so far because a person is not made of cylinders
-FEWEST = 4  # runs of time that a judgement needs
+SIZES = ("scale", "shape", "lengths", "radii", "anchors")  # names of sizes of the body begin with these
+ERROR = 0.05  # rate at which noise makes a body that is not better pass as better
+UNLIKELY = 0.05  # rate at which correct sizes move this far because people are not made of cylinders
+FEWEST = 4  # least number of runs of time for a judgement
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One recording tracked with the body before and after the fit: means of every run of time. NaN: nothing known."""
+    """One recording tracked with the body before and after the fit: means of every run of time. NaN: unknown."""
 
     name: str
     person: int
-    held: Bool[np.ndarray, " run"]  # runs that nothing was fitted to
+    held: Bool[np.ndarray, " run"]  # runs held back from the fit
     before: Float64[np.ndarray, " run"]  # distance of the points from the body, root mean square, metres
     after: Float64[np.ndarray, " run"]
     joints_before: Float64[np.ndarray, " run"]  # mean distance of joint centres from the truth, metres
@@ -42,22 +43,22 @@ class Verdict:
     """Whether the fitted body is better, and why."""
 
     better: bool
-    why: str  # a plain sentence
+    why: str  # a sentence for the report
 
 
 class Compared(NamedTuple):
-    """What changed in time held back."""
+    """The change in held-back time."""
 
     change: float  # mean logarithm of the error after over that before
-    least: float  # by which it has to differ from 0 to be more than noise
+    least: float  # least difference from 0 that is more than noise
     before_cm: float
     after_cm: float
     runs: int  # of time
 
 
 def is_size(names: tuple[str, ...]) -> Bool[np.ndarray, " all"]:
-    """Which parameters are sizes of the body: the others are inventions of the method, with nothing true about them."""
-    return np.array([n.startswith(("shape", "scale", "lengths", "radii", "anchors")) for n in names], bool)
+    """Which parameters are sizes of the body; the others belong to the method and have no true value."""
+    return np.array([n.startswith(SIZES) for n in names], bool)
 
 
 def weakly_determined(
@@ -67,19 +68,19 @@ def weakly_determined(
     prior: Float64[np.ndarray, " all"],
     apart: Float64[np.ndarray, " all"],
 ) -> Bool[np.ndarray, " all"]:
-    """Which sizes the recordings do not tell: they stay as they were.
+    """Which sizes the recordings do not determine: they keep their start values.
 
-    Bands and settings never do. They have no true value that the start might be near to: what is found is held by the
-    priors and judged by tracking with it.
+    Bands and settings never keep theirs: they have no true value that the start could be close to. The priors limit
+    them, and tracking with them judges them.
 
-    **Arguments:** `x` what was found, `sd` its deviations, `prior` those of the priors, `apart` by how much it differs
-    between parts of the recordings.
+    **Arguments:** `x` the fitted values; `sd` their standard deviations; `prior` those of the priors; `apart` standard
+    deviations between parts of the recordings.
     """
     return is_size(names) & (undetermined(sd, prior) | (np.abs(x) < SURE * apart))
 
 
 def judged_by(before: Tracks, after: Tracks, person: int, truth: Truth | None = None) -> Judged:
-    """A recording before and after; a frame counts only if it is tracked both times."""
+    """Compares tracks of a recording before and after; frames count if both have them tracked."""
     count = len(before.time_ns)
     both, run = before.tracked & after.tracked, runs(count)
 
@@ -89,7 +90,7 @@ def judged_by(before: Tracks, after: Tracks, person: int, truth: Truth | None = 
         with np.errstate(invalid="ignore"):
             return np.bincount(run[there], values[there].astype(np.float64), RUNS) / np.where(seen > 0, seen, np.nan)
 
-    joints = [_off(tracks, truth) for tracks in (before, after)]
+    joints = [_measure_errors(tracks, truth) for tracks in (before, after)]
     held = np.arange(RUNS) % EVERY > 0
     points = [np.sqrt(means(tracks.evidence.residual**2)) for tracks in (before, after)]
     lost = int(before.tracked.sum()) - int(after.tracked.sum())
@@ -97,8 +98,8 @@ def judged_by(before: Tracks, after: Tracks, person: int, truth: Truth | None = 
     return Judged(name, person, held, points[0], points[1], means(joints[0]), means(joints[1]), lost)
 
 
-def _off(tracks: Tracks, truth: Truth | None) -> Float64[np.ndarray, " frame"]:
-    """Mean distance of a frame's joints from the truth, metres; NaN where there is none."""
+def _measure_errors(tracks: Tracks, truth: Truth | None) -> Float64[np.ndarray, " frame"]:
+    """Mean distance of each frame's joints from the truth, metres; NaN without a truth."""
     out = np.full(len(tracks.time_ns), np.nan)
     if truth is None:
         return out
@@ -118,9 +119,9 @@ def _off(tracks: Tracks, truth: Truth | None) -> Float64[np.ndarray, " frame"]:
 
 
 def compared(judged: Sequence[Judged], known: bool) -> Compared:
-    """Runs of time held back, before and after; `known` joints are compared, else points."""
+    """Compares held-back runs of time before and after; `known`: by joints, else by points."""
     pairs = [(j.joints_before, j.joints_after) if known else (j.before, j.after) for j in judged]
-    # logarithms: recordings of different noise count alike
+    # logarithms give recordings with different noise the same weight
     change = np.concatenate([np.log(a[j.held] / b[j.held]) for j, (b, a) in zip(judged, pairs)])
     change = change[np.isfinite(change)]
     mean = lambda side: float(np.nanmean(np.concatenate([p[side][j.held] for j, p in zip(judged, pairs)])))  # noqa: E731
@@ -136,8 +137,8 @@ def verdict_on(
 ) -> Verdict:
     """The verdict on a fit.
 
-    **Arguments:** `moved` what was found, in deviations of the priors; `sizes` which of that are sizes that moved;
-    `known` the truth of joints is given, and judges; `same` nothing moved.
+    **Arguments:** `moved` the fitted values, in standard deviations of the priors; `sizes` which of them are moved
+    sizes; `known` true joints judge, not points; `same` no parameter moved.
     """
     kept = "The body stays as it was"
     if same:
@@ -156,7 +157,5 @@ def verdict_on(
         return Verdict(False, f"{kept}: the fitted one is no better beyond noise ({size}).")
     far = float(np.sum((moved[sizes] / SYSTEMATIC) ** 2))
     if not known and sizes.any() and far < stats.chi2.ppf(1 - UNLIKELY, int(sizes.sum())):
-        return Verdict(
-            False, f"{kept}: sizes moved by no more than they do because people are not made of cylinders ({size})."
-        )
+        return Verdict(False, f"{kept}: sizes moved no more than by the error of a body made of cylinders ({size}).")
     return Verdict(True, f"The fitted body is better: {size}.")

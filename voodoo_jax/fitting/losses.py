@@ -1,4 +1,4 @@
-"""Losses, to be differentiated by bodies and parameters: `vj.loss`."""
+"""Losses with derivatives by bodies and parameters: `vj.loss`."""
 
 from collections.abc import Callable
 from functools import cache
@@ -18,14 +18,14 @@ from voodoo_jax.solve.through_time import Tracked
 
 
 class LossFrame(eqx.Module):
-    """One tracked frame: measurements that the pose is solved on, others that judge it, and how it is solved."""
+    """One tracked frame: measurements for the pose, others that judge it, and the options of the solve."""
 
     measured: FitFrames  # without leading axis
     options: IcpOptions
 
 
 class loss:  # noqa: N801 (a namespace: vj.loss.joints)
-    """What is made small: of a recording as `solved` gives it, or of a single frame. Never NaN.
+    """Losses to minimise: of a recording solved by `solved`, or of a single frame. Never NaN.
 
     problem = vj.problem(vj.human(), recording, truth="bow.truth.npz")
     jax.grad(lambda p: vj.loss.joints(vj.solved(p, problem), problem))({"lengths.thigh": 0.0, "bands.knee.weight": 0.0})
@@ -33,8 +33,8 @@ class loss:  # noqa: N801 (a namespace: vj.loss.joints)
 
     @staticmethod
     def joints(solved: Tracked, problem: Problem) -> Float[Array, ""]:
-        """Mean distance of the joint centres from the truth, metres: of distances far below 1 cm the square, so that it
-        is smooth. Frames that are not at rest count nothing. Raises ValueError where the problem has no truth."""
+        """Mean distance of the joint centres from the truth, metres; quadratic far below 1 cm, so that it is smooth.
+        Frames that are not at rest do not count. Raises ValueError for a problem without a truth."""
         frames = problem.frames
         if frames.truth is None or frames.known is None:
             raise ValueError("loss.joints needs known joints: vj.problem(..., truth=FILE)")
@@ -45,8 +45,8 @@ class loss:  # noqa: N801 (a namespace: vj.loss.joints)
 
     @staticmethod
     def points(solved: Tracked, problem: Problem) -> Float[Array, ""]:
-        """How far measurements that the poses were not solved on lie from the body, square metres: the mean over frames
-        of what `reprojection` gives. `problem` as it was solved, with its parameters (`problem.having`)."""
+        """Squared distance of held-back measurements from the body, square metres: the mean of `reprojection` over
+        frames. `problem` with the parameters that it was solved with (`problem.having`)."""
         frames = problem.frames
 
         def one(inputs):
@@ -59,30 +59,30 @@ class loss:  # noqa: N801 (a namespace: vj.loss.joints)
 
     @staticmethod
     def frame(problem: Problem, index: int) -> LossFrame:
-        """A single frame of a problem, for `reprojection`: `index` in the problem's frames, the first tracked one is 0.
+        """A single frame of a problem, for `reprojection`; `index` among the problem's frames, from 0.
 
-        Raises ValueError where there is no such frame.
+        Raises ValueError for an index out of range.
         """
         there = int((problem.frames.weight > 0).sum())
         if not 0 <= index < there:
             raise ValueError(f"frame {index}: the problem has the frames 0 to {there - 1}")
-        # one frame alone: nothing stands still beside it, and all steps are taken
+        # a single frame has no still neighbours, and takes all steps
         options = eqx.tree_at(lambda o: (o.steady, o.epsilon), problem.options.icp, (jnp.zeros(()), jnp.zeros(())))
         return LossFrame(jax.tree.map(lambda leaf: leaf[index], problem.frames), options)
 
     @staticmethod
     def reprojection(body: Body, frame: LossFrame) -> Float[Array, ""]:
-        """How far measurements that the pose was not solved on lie from the body: square metres, points and features in
-        units of their noise, each limb as one measurement (see fitting/objective.py).
+        """Squared distance of held-back measurements from the body, square metres: points and features in units of
+        their noise, each limb as one measurement (see fitting/objective.py).
 
-        The pose is solved on the other half with exact derivatives by all of the body (solve/implicit.py).
+        The pose is solved on the other half, with exact derivatives by the whole body (solve/implicit.py).
         """
-        return _reprojection()(body, frame)
+        return _compile_reprojection()(body, frame)
 
 
 @cache
-def _reprojection() -> Callable[[Body, LossFrame], Float[Array, ""]]:
-    """Compiled: op by op its derivative would take a minute."""
+def _compile_reprojection() -> Callable[[Body, LossFrame], Float[Array, ""]]:
+    """The compiled loss: without compiling, its derivative takes a minute."""
 
     def loss(body: Body, frame: LossFrame) -> Float[Array, ""]:
         measured, options = frame.measured, frame.options

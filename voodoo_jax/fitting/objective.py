@@ -1,9 +1,8 @@
-"""What a fit makes small: how far measurements that the poses were not solved on lie from the body, and where the truth
-is known, how far joints are from it.
+"""The objective of a fit: distances of held-back measurements from the body, or of joints from a known truth.
 
-Every frame's pose is solved on one part of its points; the other part, held back, is what counts. So a body cannot win
-by poses that bend to the noise, and as both parts ask for nearly the same, pose and sizes are fitted together (variable
-projection, Golub and Pereyra 1973).
+Every frame's pose is solved on one part of its points; the other, held-back part is the objective. So a body cannot win
+by poses that follow the noise. Since both parts have nearly the same minimum, pose and sizes are fitted together
+(variable projection, Golub and Pereyra 1973).
 """
 
 from typing import Literal, NamedTuple
@@ -23,46 +22,46 @@ from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.solve.implicit import Rest, carried, resting
 from voodoo_jax.solve.pulls import IcpOptions, Problem
 
-# Standard deviations of one measurement. Points: a person's surface is 2 cm from cylinders, and that error is
-# common to a patch of skin, not to a point; so a limb counts as so many measurements a frame, not as its points.
+# Standard deviations of one measurement. Points: a person's surface is 2 cm from cylinders, and the points of a patch
+# of skin share this error; so a limb counts as PER_LIMB measurements per frame, whatever its number of points.
 POINT_SD, PER_LIMB = 0.02, 1.0  # metres; independent measurements of each limb in each frame
-FEW = 10.0  # points of a limb with which it counts half
-RAY_SD = 0.03  # metres: a detector's point from the body's, across the line of sight
+FEW = 10.0  # number of points at which a limb counts half
+RAY_SD = 0.03  # metres: a detected point from the body's, across the line of sight
 JOINT_SD = 0.03  # metres: tracked joints from the truth
-JOINT_NEAR = 0.01  # metres, by hand: below it a joint's squared distance counts, beyond it the distance
-# with more steps, to rest, poses give way to a wrong size instead: of a trunk 15 % too thin 7 % of the way is found
+JOINT_NEAR = 0.01  # metres, by hand: below, a joint counts by its squared distance, above by its distance
+# with more steps poses adapt to a wrong size instead: of a trunk 15 % too thin only 7 % of the error is found
 NEWTON = 3  # Newton steps after the ICP steps
 BATCH = 8  # frames that are solved at once
-SETTLED = 0.002  # metres: frames farther from rest than this (see Solution.off) count nothing
-ROBUST = 0.06  # metres at which a residual begins to count less
+SETTLED = 0.002  # metres: frames farther from rest than this (see Solution.off) do not count
+ROBUST = 0.06  # metres at which residuals lose weight
 
 
 class FitFrames(eqx.Module):
     """Frames to fit to, padded; leading axis: frame."""
 
-    points: Points  # poses are solved on these
-    held: Points  # and judged by these
+    points: Points  # for solving the poses
+    held: Points  # held back, for judging them
     features: Features | None
     held_features: Features | None
-    feature_name: Int[Array, "frame feature"] | None  # row of the measurement weights
+    feature_name: Int[Array, "frame feature"] | None  # row among the measurement weights
     poses: Poses  # [frame limb] as tracked: start and prediction
     truth: Float[Array, "frame centre 3"] | None  # joint centres in the frame of the points, metres
-    known: Bool[Array, "frame centre"] | None  # where there is a truth
+    known: Bool[Array, "frame centre"] | None  # True: the truth is known
     log: Int[Array, " frame"]  # which recording
     weight: Float[Array, " frame"]  # 0: padding
-    news: Float[Array, "frame limb"]  # what the frame says of a limb that no other frame says, 0..1
+    news: Float[Array, "frame limb"]  # new information of the frame about each limb, 0..1; see frames.news
 
 
 Objective = Literal["held", "truth"]
 
 
 def frame_problem(body: Body, options: IcpOptions, frame: FitFrames, by: Changes) -> Problem:
-    """What a frame's pose is solved on."""
+    """The problem that a frame's pose solves."""
     return Problem.build(body, frame.points, frame.poses, options, changed_features(frame, by))
 
 
 def changed_features(frame: FitFrames, by: Changes) -> Features | None:
-    """A frame's features, or those of many frames, with changed weights."""
+    """Features of one frame or of many, with changed weights."""
     features = frame.features
     if features is None or frame.feature_name is None or not by.features.shape[0]:
         return features
@@ -86,51 +85,47 @@ def frame_residuals(
     return jnp.concatenate(parts)
 
 
-def _robust(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
-    """Vectors whose square is Geman and McClure's loss of the given ones."""
+def _apply_robust_loss(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
+    """Vectors whose squares are Geman and McClure's loss of the given vectors."""
     return gap * jnp.sqrt(geman_mcclure_root(jnp.sum(gap * gap, -1, keepdims=True), scale))
 
 
 def as_distances(gap: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """Vectors whose squares grow as the lengths of the given ones do beyond JOINT_NEAR (pseudo-Huber).
+    """Vectors whose squares grow like the lengths of the given vectors beyond JOINT_NEAR (pseudo-Huber).
 
-    Tracks are judged by the mean distance of joints; of squares one limb that is lost for some frames would be most.
+    Tracks are judged by the mean distance of joints; a sum of squares is dominated by limbs lost for some frames.
     """
     over = jnp.sum(gap * gap, -1, keepdims=True) / JOINT_NEAR**2
     return gap * jnp.sqrt(2 / (1 + jnp.sqrt(1 + over)))
 
 
 def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: Poses) -> Float[Array, " residual"]:
-    """Held-back points from the side of the limbs that is seen; a vector each, so that no root is taken."""
+    """Residuals of held-back points from the visible side of the limbs; vectors, so that no root is taken."""
     matching = eqx.tree_at(lambda o: o.robust_scale, options.match, jnp.full_like(options.match.robust_scale, jnp.inf))
     at, sizes = jax.lax.stop_gradient((poses, body.sizes))
-    limbs = _closest(sizes, at, frame, options, body)
+    # the nearest limb under any rule: where a point changes limbs, both are at the same distance
+    limbs = closest_limbs(sizes, at, frame.held, options.match, body.present)
     found = match_assigned(body.sizes, poses, frame.held, limbs, matching)
-    # points beyond an end count too: without them a limb that is too short costs nothing, and a longer one always gains
+    # points beyond an end count too: without them a limb that is too short has no error, and a longer one always gains
     there = found.weight[0] > 0
     gap = jnp.stack([jnp.where(there, p - c, 0.0) for p, c in zip(found.data, found.model)], -1)
-    # a limb counts as PER_LIMB independent measurements, however many points show it, but less if these are few
+    # a limb counts as PER_LIMB independent measurements for any number of points, but less with few points
     count = jax.ops.segment_sum(there.astype(gap.dtype), limbs, body.limb_count + 1)
     share = PER_LIMB * jnp.append(frame.news, 0.0) / (count + FEW)
-    return (_robust(gap, ROBUST) * jnp.sqrt(share)[limbs][:, None] / POINT_SD).reshape(-1)
-
-
-def _closest(sizes, poses: Poses, frame: FitFrames, options: IcpOptions, body: Body) -> Int[Array, " point"]:
-    # the nearest limb whatever the rule: where a point goes from one to the next, both are as far
-    return closest_limbs(sizes, poses, frame.held, options.match, body.present)
+    return (_apply_robust_loss(gap, ROBUST) * jnp.sqrt(share)[limbs][:, None] / POINT_SD).reshape(-1)
 
 
 def _ray_residuals(body: Body, features: Features, poses: Poses) -> Float[Array, " residual"]:
-    """Held-back features across their lines of sight, or from their places."""
+    """Residuals of held-back features, across their lines of sight or from their positions."""
     limbs, places = named_points(body)
     point = features.point[:, 0]
     world = rotate(poses.rotation[limbs[point]], places[point]) + poses.translation[limbs[point]]
     d = features.direction
     gap = features.origin + d * jnp.sum(d * (world - features.origin), -1, keepdims=True) - world
-    # what may be face or hand judges nobody
+    # features that may be face or hand do not judge
     sure = jnp.all(features.point == features.point[:, :1], -1) & (features.weight > 0)
     gap = jnp.where(sure[:, None], gap, 0.0)
-    return (_robust(gap, 3 * ROBUST) / RAY_SD).reshape(-1)
+    return (_apply_robust_loss(gap, 3 * ROBUST) / RAY_SD).reshape(-1)
 
 
 class Placed(NamedTuple):
@@ -138,7 +133,7 @@ class Placed(NamedTuple):
 
     rest: Rest
     cost: Float[Array, " frame"]  # half the squared residuals
-    converged: Bool[Array, " frame"]  # others count nothing
+    converged: Bool[Array, " frame"]  # other frames do not count
 
 
 class Normals(NamedTuple):
@@ -148,12 +143,12 @@ class Normals(NamedTuple):
     curve: Float[Array, "frame free free"]
 
 
-# 7 parameters, traced ones apart from static ones
+# 7 parameters, traced and static ones
 def placed(
     body: Body, options: IcpOptions, frames: FitFrames, starts: Poses, x: Float[Array, " free"], maps: Maps,
     objective: Objective,
 ) -> Placed:  # fmt: skip
-    """All frames solved at x from `starts` [frame limb], and what they cost there."""
+    """Solves all frames at x from `starts` [frame limb]; returns the results and their costs."""
     by = changes_at(maps, x)
     new, changed_to = changed(body, by), changed_options(options, by)
 
@@ -167,12 +162,12 @@ def placed(
     return one_by_one(one, (frames, starts), BATCH)
 
 
-# 7 parameters, traced ones apart from static ones
+# 7 parameters, traced and static ones
 def normals(
     body: Body, options: IcpOptions, frames: FitFrames, at: Placed, x: Float[Array, " free"], maps: Maps,
     objective: Objective,
 ) -> Normals:  # fmt: skip
-    """Derivative of the residuals of all frames that rest `at` x, forward (one tangent per parameter), as sums."""
+    """Gauss-Newton sums of all frames at rest `at` x, by forward derivatives (one tangent per parameter)."""
 
     def one(inputs):
         frame, rest, good = inputs

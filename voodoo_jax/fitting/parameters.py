@@ -1,8 +1,8 @@
-"""Free parameters of a fit: names, the unconstrained vector behind them, priors, and how they change body and options.
+"""Free parameters of a fit: names, the unconstrained vector, priors, and the changes to body and options.
 
-Zero is the body one starts with. Lengths, radii, weights and settings are logarithms of a factor, so that they stay
-positive; joints move by shares of the body's scale. Priors are normal, around the start; those of a person's lengths
-around what people of that stature have, wherever one starts.
+The zero vector is the start body. Lengths, radii, weights and settings are logarithms of factors, so that they stay
+positive; joints move by shares of the body's scale. Priors are normal, centred at the start; those of a person's
+lengths are centred at the usual lengths of people of that stature, for any start.
 """
 
 from collections.abc import Mapping
@@ -24,20 +24,20 @@ from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.solve.pulls import IcpOptions
 from voodoo_jax.solve.scan import TrackOptions
 
-# Usual deviations. Adults of one stature differ by 4 to 5 % in the length of a limb (ANSUR II: standard deviation of
-# a segment after regression on stature over its mean), by 12 to 15 % in girth; a joint of a body of cylinders lies
-# within 1.5 cm (1 % of stature) of a person's. Scale is all lengths in common; height is held beside. Bands and
-# settings are inventions of this method: a factor of two either way is usual.
+# Standard deviations of the priors. Adults of one stature differ by 4 to 5 % in the length of a limb (ANSUR II:
+# standard deviation of a segment after regression on stature over its mean), by 12 to 15 % in girth; a joint of a body
+# of cylinders lies within 1.5 cm (1 % of stature) of a person's. Scale is common to all lengths; height is held in
+# addition. Bands and settings belong to this method: a factor of two either way is usual.
 PRIORS = {
     "shape": 1.0, "scale": 0.02, "lengths": 0.045, "radii": 0.13, "anchors": 0.009, "bands.weight": 0.7,
     "bands.axes": 0.3, "solve": 0.5, "features": 0.7, "track": 0.5,
     "sensors.weight": 0.7, "sensors.shift": 0.03, "sensors.turn": 0.035,
 }  # fmt: skip
-# Sizes found miss by this share of the priors' deviations because people are no cylinders (2.5 % of a length: fits of
-# rendered people that began from right bodies moved by 0.5 to 4 %, see experiments/fit): less is no finding.
+# Error of fitted sizes because people are not cylinders, share of the priors' deviations (2.5 % of a length: fits of
+# rendered people from correct bodies moved by 0.5 to 4 %, see experiments/fit): smaller changes are not significant.
 SYSTEMATIC = 0.55
-HEIGHT = 0.005  # logarithm: the height is measured on the standing person before a fit, to half a percent
-WORDS = {  # what people say -> patterns of names; "segments": see segment_limbs
+HEIGHT = 0.005  # logarithm: before a fit the height is measured on the standing person to half a percent
+WORDS = {  # words of users -> patterns of names; "segments": see segment_limbs
     "shape": ("scale", "shape.*"),
     "scale": ("scale",),
     "lengths": ("lengths.*",),
@@ -45,14 +45,14 @@ WORDS = {  # what people say -> patterns of names; "segments": see segment_limbs
     "joint centres": ("anchors.*",),
     "anchors": ("anchors.*",),
     "bands": ("bands.*",),
-    # not solve.prior: a fit's frames are predicted where they were tracked, so it would grow without end
+    # not solve.prior: a fit predicts frames at their tracked poses, so it would grow without limit
     "measurement weights": ("features.*.weight", "solve.ratio"),
 }
 # of SolveSettings and of TrackSettings
 SETTINGS = ("ratio", "floor", "prior", "robust_scale", "prior_radius", "steady", "steady_distance", "limits")
 TRACK = ("damping", "still_speed", "hidden_weight")
-# of each sensor: its measurements' weight, and its place, in axes of the fixed frame. It turns about the middle of what
-# it sees: about itself 2 degrees would move that by 10 cm, and searches hardly find a turn and a shift that undo it
+# of each sensor: weight of its measurements, and its place, in axes of the fixed frame. It turns about the centre of
+# its points: turning about the sensor by 2 degrees moves them by 10 cm, and searches hardly find the opposite shift
 SENSOR = ("weight", "x", "y", "z", "turn_x", "turn_y", "turn_z")
 
 
@@ -60,7 +60,7 @@ Entry = tuple[str, int, tuple[int, ...], float, str]
 
 
 class Changes(NamedTuple):
-    """What a parameter vector says, quantity by quantity; all zero: nothing changes."""
+    """A parameter vector by quantity; all zero: no change."""
 
     scale: Float[Array, ""]  # logarithm
     lengths: Float[Array, " limb"]  # logarithms
@@ -87,30 +87,30 @@ class Parameters:
     mirrored: bool
 
     def changes(self, x: Float[Array, " free"]) -> Changes:
-        """What a vector says."""
+        """The changes of a parameter vector."""
         return changes_at(self.maps, x)
 
 
 def changes_at(maps: Maps, x: Float[Array, " free"]) -> Changes:
-    """What a vector says."""
+    """The changes of a parameter vector."""
     return Changes(*(jnp.sum(jnp.asarray(m, x.dtype) * x, -1) for m in maps))
 
 
-def _modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:
-    """What each mode of a body changes, as entries whose sign is by how much."""
+def _list_modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:
+    """The entries that each mode of a body changes, with the amount in place of the sign."""
     found = {}
     for mode in body.modes:
         changes = dict(mode.changes)
-        entries = [(e, changes.get(e[0], changes.get(".".join(map(without_side, e[0].split(".")))))) for e in known]
+        entries = [(e, changes.get(e[0], changes.get(_remove_side(e[0])))) for e in known]
         found[f"shape.{mode.name}"] = [(n, part, i, sign * by, "shape") for (n, part, i, sign, _), by in entries if by]
     return found
 
 
-def _all_names(
+def _list_entries(
     topology: Topology, features: tuple[str, ...], axes: Bool[np.ndarray, "joint 2"], sensors: int = 0
 ) -> list[Entry]:
-    """Name, field of Changes, index in it, sign under mirroring, prior's key, of everything that can be free; `axes`
-    which ones joints have."""
+    """Name, field of Changes, index in it, sign under mirroring, and key of the prior, for every possible parameter;
+    `axes` which axes joints have."""
     t = topology
     out: list[Entry] = [("scale", 0, (), 1.0, "scale")]
     for i, limb in enumerate(t.limbs):
@@ -145,37 +145,37 @@ def parameters(
     mirrored: bool = True,
     sensors: int = 0,
 ) -> Parameters:
-    """The parameters that words (see WORDS) and patterns such as "lengths.*thigh" name.
+    """The parameters named by words (see WORDS) and patterns such as "lengths.*thigh".
 
-    **Arguments:** `features` names of the measured features; `mirrored` left and right change alike: what both sides
-    have is one parameter, and its name has no side. Raises ValueError for a pattern that names nothing.
+    **Arguments:** `features` names of the measured features; `mirrored` left and right share one parameter, whose name
+    has no side. Raises ValueError for a pattern without a match.
     """
-    known = _all_names(body.topology, features, np.asarray(body.axes) > 0, sensors)
-    modes = _modes(body, known)
+    known = _list_entries(body.topology, features, np.asarray(body.axes) > 0, sensors)
+    modes = _list_modes(body, known)
     reported = tuple(f"lengths.{limb}" for limb in segment_limbs(body.topology))
     words = WORDS | {"segments": reported or WORDS["lengths"]}
     if not modes:
         words["shape"] = words["segments"]
     patterns = [p for word in free for p in (words.get(word) or (word,))]
     for pattern in patterns:
-        if not any(_named(name, pattern) for name in (*modes, *(name for name, *_ in known))):
+        if not any(_matches(name, pattern) for name in (*modes, *(name for name, *_ in known))):
             groups = ", ".join(words)
             examples = ", ".join([known[1][0], known[-1][0]])
             raise ValueError(
                 f"free parameter '{pattern}': this body has nothing of that name; "
-                f"say one of {groups}, or a pattern of names such as {examples}"
+                f"use one of {groups}, or a pattern of names such as {examples}"
             )
     rows: dict[str, list[Entry]] = {}
     for entry in known:
-        if any(_named(entry[0], p) for p in patterns):
+        if any(_matches(entry[0], p) for p in patterns):
             name = entry[0]
             if mirrored:
-                name = ".".join(map(without_side, name.split(".")))
+                name = _remove_side(name)
                 if entry[1] == 3 and entry[0] == name and name.endswith(".y"):
-                    continue  # a joint of the middle stays in it
+                    continue  # joints in the middle stay there
             rows.setdefault(name, []).append(entry)
-    rows |= {name: entries for name, entries in modes.items() if any(_named(name, p) for p in patterns)}
-    maps = [np.zeros((*shape, len(rows))) for shape in _shapes(body.topology, len(features), sensors)]
+    rows |= {name: entries for name, entries in modes.items() if any(_matches(name, p) for p in patterns)}
+    maps = [np.zeros((*shape, len(rows))) for shape in _list_shapes(body.topology, len(features), sensors)]
     for column, entries in enumerate(rows.values()):
         for _, part, index, sign, _ in entries:
             maps[part][(*index, column)] = sign if mirrored or entries[0][4] == "shape" else 1.0
@@ -183,8 +183,8 @@ def parameters(
     return Parameters(tuple(rows), sd, tuple(maps), mirrored)
 
 
-def _shapes(t: Topology, features: int, sensors: int) -> list[tuple[int, ...]]:
-    """Of the fields of Changes."""
+def _list_shapes(t: Topology, features: int, sensors: int) -> list[tuple[int, ...]]:
+    """Shapes of the fields of Changes."""
     joints = len(t.joints)
     return [
         (), (len(t.limbs),), (len(t.limbs), 2), (joints, 3), (joints,), (joints, 2), (len(SETTINGS),), (features,),
@@ -193,37 +193,37 @@ def _shapes(t: Topology, features: int, sensors: int) -> list[tuple[int, ...]]:
 
 
 def is_mode(names: tuple[str, ...]) -> Bool[np.ndarray, " free"]:
-    """Which parameters are modes of shape: numbers of standard deviations."""
+    """Which parameters are modes of shape, in standard deviations."""
     return np.array([name.startswith("shape.") for name in names], bool)
 
 
 def segment_limbs(topology: Topology) -> list[str]:
-    """The limbs whose lengths are reported: those that reach from one end of a segment to the other."""
+    """The limbs whose lengths are reported: those that span a whole segment."""
     ends = dict(zip(topology.joints, zip(topology.parents, topology.children)))
     found = [(ends[a][1], ends[b][0]) for _, a, b in topology.segments if a in ends and b in ends]
     return [topology.limbs[first] for first, last in found if first == last]
 
 
 @cache
-def _people() -> Body:
-    """The body of people's usual proportions, on the host: arrays of a traced call must not be kept."""
+def _load_people() -> Body:
+    """The body with usual proportions, on the host, since arrays of a traced call must not be cached."""
     from voodoo_jax.model.body_file import load_on_host
 
     return load_on_host("human")
 
 
 def _is_person(body: Body) -> bool:
-    """Whether what is known of people's proportions holds for a body: it has a person's limbs; it may hold things."""
+    """Whether people's proportions apply to a body: it has a person's limbs, and perhaps held objects."""
     limbs = [limb for i, limb in enumerate(body.topology.limbs) if i not in body.topology.held]
-    return body.scale_name == "stature" and limbs == list(_people().topology.limbs)
+    return body.scale_name == "stature" and limbs == list(_load_people().topology.limbs)
 
 
 def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
-    """Where the priors of a body's parameters are centred: at its own sizes, but lengths of people where people of that
-    stature have them: a wrong body file says nothing of the person."""
+    """Centres of the priors of a body's parameters: its own sizes, but for a person the usual lengths of people of that
+    stature, so that a wrong body file does not affect them."""
     centre = np.zeros(len(free.names))
     if _is_person(body):
-        own, people = on_host(body), _people()
+        own, people = on_host(body), _load_people()
         there = [body.topology.limbs.index(limb) for limb in people.topology.limbs]
         share = np.zeros(body.limb_count)
         usual, has = (np.asarray(b.sizes)[:, 4] / float(b.scale) for b in (people, own))
@@ -231,7 +231,7 @@ def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
         of_limb, one = np.asarray(free.maps[1]), ~is_mode(free.names)
         centre[one] = ((of_limb * share[:, None]).sum(0) / np.maximum(of_limb.sum(0), 1))[one]
         if not one.all():
-            # the modes that come nearest to it; none is wanted by more than people have of it
+            # the modes closest to these lengths, limited by their own priors
             by, left = of_limb[:, ~one], share - of_limb[:, one] @ centre[one]
             normal = by.T @ by / PRIORS["lengths"] ** 2 + np.diag(1 / free.sd[~one] ** 2)
             centre[~one] = np.linalg.solve(normal, by.T @ left / PRIORS["lengths"] ** 2)
@@ -241,26 +241,26 @@ def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
 @cache
 def _people_height() -> float:
     with jax.ensure_compile_time_eval():
-        return float(height_of(on_device(_people()))) / float(_people().scale)
+        return float(height_of(on_device(_load_people()))) / float(_load_people().scale)
 
 
 def height_ratio(body: Body) -> Float[Array, ""] | float:
-    """Height of a body's rest pose over its scale, as it should be: people's, or the body's own."""
+    """Nominal height of a body's rest pose over its scale: that of people, or the body's own."""
     return _people_height() if _is_person(body) else height_of(body) / body.scale
 
 
-def _named(name: str, pattern: str) -> bool:
-    """Whether a pattern names a parameter, by its full name or by that without its side."""
-    return fnmatchcase(name, pattern) or fnmatchcase(".".join(map(without_side, name.split("."))), pattern)
+def _matches(name: str, pattern: str) -> bool:
+    """Whether a pattern matches a parameter's full name or its name without side."""
+    return fnmatchcase(name, pattern) or fnmatchcase(_remove_side(name), pattern)
 
 
 def changed(body: Body, by: Changes) -> Body:
-    """The body after changes; every limb carries along what it carries, and the rest pose follows down the tree."""
+    """The body after changes; anchors, sites and centres move with their limbs, and the rest pose is recomputed."""
     t = body.topology
     parents = jnp.array(t.parents, int)
     along = jnp.exp(by.lengths)
     stretch = lambda points, limbs: points.at[:, 2].multiply(along[jnp.array(limbs, int)])  # noqa: E731
-    # the frame of each joint's shift is the body's
+    # shifts of joints are in the body frame
     shift = unrotate(body.rest.rotation[parents], by.anchors) * body.scale
     on_parent = stretch(body.parent_anchor.translation, t.parents) + shift
     on_child = stretch(body.child_anchor.translation, t.children)
@@ -272,7 +272,7 @@ def changed(body: Body, by: Changes) -> Body:
     sites = stretch(body.sites, t.site_limbs).at[:, :2].multiply(girth[:, None])
     centres = stretch(body.centres, t.centre_limbs)
     for j, joint in enumerate(t.joints):
-        # a reported centre on the parent moves with its joint; one on the child does anyway
+        # a reported centre on the parent moves with its joint, as one on the child does already
         name = V1_NAMES.get(joint, joint)
         if name in t.centres and t.centre_limbs[t.centres.index(name)] == t.parents[j]:
             centres = centres.at[t.centres.index(name)].add(shift[j])
@@ -291,13 +291,13 @@ def changed_options(options: IcpOptions, by: Changes) -> IcpOptions:
     where = {"robust_scale": lambda o: o.match.robust_scale, "limits": lambda o: o.plausible.limits}
     for name, f in zip(SETTINGS, factor):
         leaf = where.get(name, lambda o, name=name: getattr(o, name))
-        if leaf(options) is not None:  # what is switched off stays so
+        if leaf(options) is not None:  # options that are switched off stay off
             options = eqx.tree_at(leaf, options, leaf(options) * f)
     return options
 
 
 def changed_tracking(options: TrackOptions, by: Changes) -> TrackOptions:
-    """The options of tracking over time after changes, with those of the solve."""
+    """The options of tracking and of the solve after changes."""
     leaves = lambda o: tuple(getattr(o, name) for name in TRACK)  # noqa: E731
     changed = tuple(v * f for v, f in zip(leaves(options), jnp.exp(by.track)))
     options = eqx.tree_at(leaves, options, changed)
@@ -305,7 +305,7 @@ def changed_tracking(options: TrackOptions, by: Changes) -> TrackOptions:
 
 
 def middles(points: Points) -> Float[Array, "sensor 3"]:
-    """Of what each sensor sees; any leading axes."""
+    """Centre of each sensor's points, metres; any leading axes."""
     mine = (jnp.arange(points.origins.shape[-2]) == points.sensor[..., None]) & (points.weight > 0)[..., None]
     total = jnp.einsum("...ps,...pk->sk", mine.astype(points.xyz.dtype), points.xyz, precision="highest")
     count = jnp.sum(mine, tuple(range(mine.ndim - 1)))
@@ -313,8 +313,8 @@ def middles(points: Points) -> Float[Array, "sensor 3"]:
 
 
 def changed_points(points: Points, by: Changes, about: Float[Array, "sensor 3"]) -> Points:
-    """Points after changes of their sensors, which see them from elsewhere, each turned about one of the places
-    `about`, metres; any leading axes."""
+    """Points and origins after changes of their sensors, each turned about its place in `about`, metres; any leading
+    axes."""
     if not by.sensors.shape[0]:
         return points
     moved = lambda xyz, here, by: here + by[..., 1:4] + rotate(quat_exp(by[..., 4:7]), xyz - here)  # noqa: E731
@@ -327,14 +327,14 @@ def changed_points(points: Points, by: Changes, about: Float[Array, "sensor 3"])
 def named_changes(
     body: Body, values: Mapping[str, Float[ArrayLike, ""]], features: tuple[str, ...] = (), sensors: int = 0
 ) -> Changes:
-    """What numbers by name say, each of one entry or, by a name without sides, of both sides'. Raises ValueError for a
-    name that the body does not have."""
+    """The changes of values by name; a name without side sets both sides. Raises ValueError for a name that the body
+    does not have."""
     t = body.topology
-    known = _all_names(t, features, np.ones((len(t.joints), 2), bool), sensors)  # a joint without an axis gets none
-    modes = _modes(body, known)
-    parts = [jnp.zeros(shape, body.sizes.dtype) for shape in _shapes(t, len(features), sensors)]
+    known = _list_entries(t, features, np.ones((len(t.joints), 2), bool), sensors)  # a joint without an axis gets none
+    modes = _list_modes(body, known)
+    parts = [jnp.zeros(shape, body.sizes.dtype) for shape in _list_shapes(t, len(features), sensors)]
     for name, value in values.items():
-        said = modes.get(name) or [entry for entry in known if name in (entry[0], _sideless(entry[0]))]
+        said = modes.get(name) or [entry for entry in known if name in (entry[0], _remove_side(entry[0]))]
         if not said:
             examples = ", ".join((known[1][0], known[-1][0]))
             raise ValueError(f"parameter '{name}': this body has nothing of that name, but for example {examples}")
@@ -343,7 +343,7 @@ def named_changes(
     return Changes(*parts)
 
 
-def _sideless(name: str) -> str:
+def _remove_side(name: str) -> str:
     return ".".join(map(without_side, name.split(".")))
 
 
@@ -360,7 +360,8 @@ def height_of(body: Body) -> Float[Array, ""]:
 
 
 def named_by_height(body: Body, before: Body) -> Body:
-    """The body with its `scale` in proportion to its height, as people's is or as it was `before`: limbs may have grown
-    beside it. Else a start that measures a person's height would make a long-legged body too small.
+    """The body with its `scale` in proportion to its height, as for people or as `before`, since limbs may have grown.
+
+    Otherwise a start that measures a person's height makes a long-legged body too small.
     """
     return eqx.tree_at(lambda b: b.scale, body, height_of(body) / height_ratio(before))

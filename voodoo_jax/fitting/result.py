@@ -1,5 +1,5 @@
-"""What a fit found, how each recording was judged before and after, and its report: Markdown with tables, a figure of
-the loss, and a page that shows both and the bodies."""
+"""The result of a fit, its judgement by recordings, and its report: Markdown with tables, a figure of the loss, and a
+page that shows both and the bodies."""
 
 import os
 from collections.abc import Sequence
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit found. `x`, `sd`, `prior_sd` as in Parameters: logarithms of factors, or shares of the scale."""
+    """The result of a fit. `x`, `sd`, `prior_sd` as in Parameters: logarithms of factors, or shares of the scale."""
 
-    body: Body  # of the first person: the fitted one where that is better, else the one before
+    body: Body  # of the first person: the fitted body if it is better, else the one before
     bodies: tuple[Body, ...]  # of every person
-    fitted: tuple[Body, ...]  # what was found, better or not
+    fitted: tuple[Body, ...]  # fitted bodies, better or not
     starts: tuple[Body, ...]  # before the fit
     verdict: Verdict
     names: tuple[str, ...]
@@ -36,13 +36,13 @@ class Fit:
     sd: Float64[np.ndarray, " all"]
     spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see gauss_newton.spread
     prior_sd: Float64[np.ndarray, " all"]
-    stays: Bool[np.ndarray, " all"]  # what the recordings do not tell, and what therefore stayed
-    sizes: tuple[tuple[Size, ...], ...]  # of every person: what a tape would tell, before and after
+    stays: Bool[np.ndarray, " all"]  # sizes that the recordings do not determine, which kept their start values
+    sizes: tuple[tuple[Size, ...], ...]  # of every person: sizes as measured by tape, before and after
     losses: tuple[float, ...]
     finished: bool  # stopped by itself
     judged: tuple[Judged, ...]
     settings: FitSettings
-    tuned: Settings  # the settings with what was found of the solve's options and of the features' weights
+    tuned: Settings  # the settings with the fitted options of the solve and weights of features
 
     @property
     def better(self) -> bool:
@@ -55,39 +55,39 @@ class Fit:
         return report_text(self)
 
     def undetermined(self) -> list[str]:
-        """Parameters that the data do not tell: they stayed where they were."""
+        """Parameters that the data do not determine; they kept their start values."""
         return [name for name, stays in zip(self.names, self.stays) if stays]
 
 
-def _table(head: list[str], rows: list[list[str]]) -> str:
+def _format_table(head: list[str], rows: list[list[str]]) -> str:
     lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def _cm(value: float) -> str:
+def _format_cm(value: float) -> str:
     return f"{100 * value:.2f}" if np.isfinite(value) else "-"
 
 
-def _interval(size: Size) -> str:
+def _format_interval(size: Size) -> str:
     reach = 1.96 * size.sd
-    return f"{_cm(size.after - reach)} .. {_cm(size.after + reach)}" if np.isfinite(reach) else "-"
+    return f"{_format_cm(size.after - reach)} .. {_format_cm(size.after + reach)}" if np.isfinite(reach) else "-"
 
 
-def _before_and_after(judged: Sequence[Judged]) -> list[str]:
-    """How far points and joints are off, by recording."""
+def _tabulate_errors(judged: Sequence[Judged]) -> list[str]:
+    """Errors of points and joints, by recording."""
     rows = []
     for j in judged:
         left_out = j.held.all()
         for word, mask in (("left out", j.held),) if left_out else (("fitted", ~j.held), ("held back", j.held)):
             columns = [v[mask] for v in (j.before, j.after, j.joints_before, j.joints_after)]
             values = [float(np.nanmean(v)) if np.isfinite(v).any() else float("nan") for v in columns]
-            rows.append([f"{j.name}, {word}", str(int(np.isfinite(j.after[mask]).sum())), *map(_cm, values)])
+            rows.append([f"{j.name}, {word}", str(int(np.isfinite(j.after[mask]).sum())), *map(_format_cm, values)])
     head = ["log", "runs of time", "points off, before, cm", "after, cm", "joints off, before, cm", "after, cm"]
-    how = "two of three runs of time were held back from the fit, and judge."
+    how = "two of three runs of time were held back from the fit, and judge it."
     if judged and judged[0].held.all():
         how = "each log was left out of the fit that it judges."
-    text = f"The whole log tracked with the body before and with the fitted one; {how}\n"
-    return ["## Before and after\n", text, _table(head, rows)]
+    text = f"The whole log, tracked with the body before and with the fitted body; {how}\n"
+    return ["## Before and after\n", text, _format_table(head, rows)]
 
 
 def report_text(fit: Fit) -> str:
@@ -95,19 +95,19 @@ def report_text(fit: Fit) -> str:
     out = ["# Fit of a body\n", fit.verdict.why + "\n"]
     ended = "stopped by itself" if fit.finished else "was ended by its limit of steps: more may gain something"
     out.append(f"{len(fit.losses) - 1} steps, loss {fit.losses[0]:.1f} to {fit.losses[-1]:.1f}; it {ended}.\n")
-    out += _before_and_after(fit.judged)
+    out += _tabulate_errors(fit.judged)
     if fit.sizes:
         out.append("## Sizes\n")
         out.append(
-            "Girths are those of the body's cylinders half way along a limb. The intervals are what the model and its "
-            "noise allow; that a person is no cylinder is not in them.\n"
+            "Girths are those of the body's cylinders half way along a limb. The intervals follow from the model and "
+            "its noise; they leave out that people are not cylinders.\n"
         )
     for k, sizes in enumerate(fit.sizes):
         if len(fit.fitted) > 1:
             names = ", ".join(j.name for j in fit.judged if j.person == k)
             out.append(f"### Person {k + 1} ({names})\n")
-        rows = [[s.name, _cm(s.before), _cm(s.after), _interval(s)] for s in sizes]
-        out.append(_table(["size", "before, cm", "fitted, cm", "95 % interval, cm"], rows))
+        rows = [[s.name, _format_cm(s.before), _format_cm(s.after), _format_interval(s)] for s in sizes]
+        out.append(_format_table(["size", "before, cm", "fitted, cm", "95 % interval, cm"], rows))
     rows = []
     for name, x, sd, apart, prior, stays in zip(fit.names, fit.x, fit.sd, fit.spread, fit.prior_sd, fit.stays):
         interval, parts, share = "-", "-", "-"
@@ -119,32 +119,32 @@ def report_text(fit: Fit) -> str:
     out.append("## Parameters\n")
     out.append(
         "Changes in percent (logarithms times 100; anchors: percent of the scale), of shape in standard deviations of "
-        "people (the [[mode]] tables of the body file). The intervals are those of the "
-        "Gauss-Newton matrix with the priors: what the model and its noise allow. That a person is no cylinder is not "
-        "in them. Between parts: how much a change hangs on the part of the logs that it is found from. From the data: "
-        "their share of what is known of a parameter.\n"
+        "people (the [[mode]] tables of the body file). The intervals follow from the Gauss-Newton matrix with the "
+        "priors: from the model and its noise. They leave out that people are not cylinders. Between parts: standard "
+        "deviation of a change between parts of the logs. From the data: share of the data in the information on a "
+        "parameter.\n"
     )
     head = ["parameter", "change", "95 % interval", "prior's deviation", "between parts", "from the data"]
-    out.append(_table(head, rows))
+    out.append(_format_table(head, rows))
     if weak := fit.undetermined():
-        out.append(f"The data say too little about: {', '.join(weak)}. They stay as they were.\n")
+        out.append(f"The data say too little about: {', '.join(weak)}. These parameters keep their start values.\n")
     return "\n".join(out)
 
 
 def write_report(fit: Fit, path: str | os.PathLike[str]) -> tuple[Path, Path, Path]:
-    """Writes the report as `path` (.md), a figure of loss and parameters beside it (.png), and a page that holds both
-    (.html); their paths."""
+    """Writes the report as `path` (.md), a figure of loss and parameters (.png), and a page with both (.html).
+    Returns their paths."""
     text, drawn, page = (Path(path).with_suffix(end) for end in (Path(path).suffix, ".png", ".html"))
     report = report_text(fit)
     with replacing(text) as partial:
         partial.write_text(report + f"\n![loss and parameters]({drawn.name})\n", encoding="utf-8")
     with replacing(drawn) as partial:
-        _figure(fit).savefig(partial, format="png", dpi=100)
+        _draw(fit).savefig(partial, format="png", dpi=100)
     write_fit_page(report, list(zip(fit.starts, fit.fitted)), drawn.read_bytes(), page)
     return text, drawn, page
 
 
-def _figure(fit: Fit) -> "Figure":
+def _draw(fit: Fit) -> "Figure":
     """Loss over steps, and parameters with their intervals."""
     from matplotlib.figure import Figure
 

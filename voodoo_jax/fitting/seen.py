@@ -1,4 +1,4 @@
-"""Recordings as fits see them: tracked once, with the body's points of every frame. Host side."""
+"""Tracks recordings for a fit, and keeps the person's points of every frame. Host side."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -20,14 +20,14 @@ class Seen(NamedTuple):
 
     tracks: Tracks
     people: list[BodyObservation]
-    scene: Scene  # to track it again with the body found
+    scene: Scene  # for tracking it again with the fitted body
     given: Body | None = None  # the body before the tracker sized it; None: the tracks' own
 
 
 def tracked(
     body: Body, logs: Sequence[Log], settings: Settings, tell: Callable[[str], None] = lambda what: None
 ) -> list[Seen]:
-    """Every log tracked with the body, and the person's frames."""
+    """Tracks every log with the body; `tell` is called with each log's name."""
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of, find_body
     from voodoo_jax.trackers.base import LogInfo, Task

@@ -1,4 +1,4 @@
-"""What a person would measure of a body with a tape, and how sure it is after a fit."""
+"""Sizes of a body as measured by tape, and their standard deviations after a fit."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from voodoo_jax.model.body import Body, joint_centres, without_side
 
 
 class Size(NamedTuple):
-    """One size before and after a fit; `sd` NaN where it is not known. Metres."""
+    """One size before and after a fit; `sd` NaN if unknown. Metres."""
 
     name: str
     before: float
@@ -22,8 +22,8 @@ class Size(NamedTuple):
 
 
 def sizes_of(body: Body) -> dict[str, Float[Array, ""]]:
-    """The scale, the reported segments, distances between joints of both sides on one limb, and the limbs' girths half
-    way along, metres; left and right averaged. Differentiable."""
+    """The scale, the reported segments, distances between joints of both sides on one limb, and girths half way along
+    the limbs, metres; left and right averaged. Differentiable."""
     t = body.topology
     parents = jnp.array(t.parents, int)
     joints = dict(zip(t.joints, apply(body.rest[parents], body.parent_anchor.translation)))
@@ -47,7 +47,7 @@ def sizes_of(body: Body) -> dict[str, Float[Array, ""]]:
 def sizes_after(
     body: Body, free: Parameters, x: Float64[np.ndarray, " free"], covariance: Float64[np.ndarray, "free free"]
 ) -> tuple[Size, ...]:
-    """Sizes before and after a fit found `x`, with deviations carried over from the parameters' covariance."""
+    """Sizes before and after the changes `x`, with standard deviations from the parameters' covariance."""
     of = lambda x: jnp.stack(list(sizes_of(changed(body, free.changes(x))).values()))  # noqa: E731
     at = jnp.asarray(x, jnp.float32)
     slope = np.asarray(jax.jit(jax.jacfwd(of))(at), np.float64)

@@ -1,4 +1,4 @@
-"""The settings after a fit: what was found of the solve's options and of the features' weights."""
+"""The settings after a fit: with the fitted options of the solve and weights of features."""
 
 from dataclasses import replace
 
@@ -11,9 +11,9 @@ from voodoo_jax.solve.names import FeatureNames
 
 
 def tuned_settings(settings: Settings, topology: Topology, by: Changes, features: tuple[str, ...]) -> Settings:
-    """The settings changed by what a fit found; what it left alone stays as it was.
+    """The settings with the changes of a fit; all other settings stay.
 
-    **Arguments:** `by` what was found (see fitting.parameters); `features` names that its `features` are of.
+    **Arguments:** `by` the changes (see fitting.parameters); `features` names of the features in `by.features`.
     """
     factors = dict(zip(SETTINGS, np.exp(np.asarray(by.settings, np.float64)).tolist()))
     solve = {k: getattr(settings.solve, k) * f for k, f in factors.items() if f != 1}

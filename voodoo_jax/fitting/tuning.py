@@ -1,4 +1,4 @@
-"""Tuning: any parameters, by the gradient of any loss through whole recordings: `vj.tune`."""
+"""Tunes any parameters by the gradient of any loss through whole recordings: `vj.tune`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,21 +23,21 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.solve.through_time import Tracked
 
 Loss = Callable[[Tracked, Problem], Float[Array, ""]]
-# a tenth of the loss at the start counts as a usual deviation of a parameter does: BFGS's first step goes along the
-# slope, so that a loss in metres would hardly move; the logarithm of one that falls to a hundredth is no bowl
+# a tenth of the start's loss counts like a prior deviation of a parameter: BFGS's first step follows the slope, and
+# would hardly move on a loss in metres; the logarithm of a loss that falls to a hundredth is not convex
 SCALE = 10.0
-MOST = 3.0  # usual deviations: so far from the start no parameter goes, or a first step may leave all points behind
-NOTHING = 1e6  # what a recording costs in which no frame is at rest: more than any
-ENOUGH = 0.01  # of a parameter's usual deviation, and a tenth of that of the loss: a step that changes less is the last
+MOST = 3.0  # prior deviations: limit of every parameter, since a large first step can lose all points
+NOTHING = 1e6  # loss of a recording without a frame at rest: above all others
+ENOUGH = 0.01  # of a parameter's prior deviation, and a tenth of that of the loss: smaller steps end the search
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """What was found."""
+    """The result of tuning."""
 
     parameters: dict[str, float]  # by name, as `solved` takes them
     problems: tuple[Problem, ...]
-    curve: tuple[float, ...]  # the loss, its prior left out, at all places that were looked at, the start first
+    curve: tuple[float, ...]  # the loss without prior at every evaluation, the start first
     finished: bool  # stopped by itself
 
     @property
@@ -47,16 +47,16 @@ class Tuned:
 
     @property
     def after(self) -> float:
-        """The least loss that was found, at `parameters`."""
+        """The least loss, at `parameters`."""
         return min(self.curve)
 
     def body(self, which: int = 0) -> Body:
-        """The body of a problem with what was found."""
+        """The tuned body of a problem."""
         one = self.problems[which]
         return changed(one.body, self._changes(one))
 
     def settings(self, before: Settings) -> Settings:
-        """Settings with what was found of the solve's and the tracking's options and of the features' weights."""
+        """Settings with the tuned options of solve and tracking and the tuned weights of features."""
         one = self.problems[0]
         return tuned_settings(before, one.body.topology, self._changes(one), one.features)
 
@@ -64,7 +64,7 @@ class Tuned:
         return named_changes(one.body, self.parameters, one.features, one.frames.points.origins.shape[-2])
 
 
-# 7 parameters: what is tuned to what, and how long
+# 7 parameters: the problem, its loss, and the search
 def tune(
     problems: Problem | Sequence[Problem],
     free: Sequence[str],
@@ -75,16 +75,17 @@ def tune(
     pull: float = 0.03,
     say: Callable[[float, dict[str, float]], None] | None = None,
 ) -> Tuned:
-    """Makes the mean loss of some recordings small by its gradient (BFGS, optimistix.minimise), each solved from the
-    first frame to the last.
+    """Minimises the mean loss of some recordings by its gradient (BFGS, optimistix.minimise); each recording is solved
+    from the first frame to the last.
 
-    **Arguments:** `problems` of `vj.problem`, of one shape (its `frames`, `points` and `room` say it) they are one
+    **Arguments:** `problems` from `vj.problem`; those of equal shapes (see its `frames`, `points` and `room`) share one
     program; `free` words and patterns of parameters as for `fit` (lengths, bands.*.weight, track.damping), left and
-    right alike; `loss` of a recording as solved and its problem with the parameters (`having`), positive; `start`
-    parameters to begin at, else 0; `steps` at most; `pull` of the parameters' priors (fitting.parameters.PRIORS): a
-    usual deviation costs half of this share of the start's loss; `say` hears of each place that is looked at.
+    right together; `loss` positive, of a solved recording and its problem with the parameters (`having`); `start`
+    initial parameters, else 0; `steps` most steps; `pull` strength of the parameters' priors
+    (fitting.parameters.PRIORS): one prior deviation adds half of this share of the start's loss; `say` is called with
+    loss and parameters of every evaluation.
 
-    Raises ValueError for a pattern that names nothing.
+    Raises ValueError for a pattern without a match.
     """
     some = (problems,) if isinstance(problems, Problem) else tuple(problems)
     first = some[0]
@@ -92,7 +93,7 @@ def tune(
     names, sd = known.names, known.sd.astype(np.float32)
     begun = jnp.array([(start or {}).get(name, 0.0) for name in names], jnp.float32)
     seen: list[tuple[float, dict[str, float]]] = []
-    groups = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in _alike(some)]
+    groups = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in _group_by_shape(some)]
 
     def heard(z: Any, value: Any) -> np.float32:
         found = dict(zip(names, (np.asarray(begun) + sd * MOST * np.tanh(np.asarray(z) / MOST)).tolist()))
@@ -101,27 +102,27 @@ def tune(
             say(*seen[-1])
         return np.float32(seen[0][0])
 
-    number = max(_HEARD, default=0) + 1
-    _HEARD[number] = heard
+    number = max(_CALLBACKS, default=0) + 1
+    _CALLBACKS[number] = heard
     try:
-        found = _search(names, loss, steps)(
+        found = _compile_search(names, loss, steps)(
             jnp.zeros_like(begun), (groups, begun, sd, np.float32(pull), np.int32(number))
         )
         jax.effects_barrier()
     finally:
-        del _HEARD[number]
+        del _CALLBACKS[number]
     best = min(seen, key=lambda one: one[0] if np.isfinite(one[0]) else np.inf)
     done = found.result == optx.RESULTS.successful
     return Tuned(best[1], some, tuple(value for value, _ in seen), bool(done))
 
 
-# who is told of each place that a search looks at, and says the loss at the first one
-_HEARD: dict[int, Callable[[Any, Any], np.float32]] = {}
+# callbacks of running searches: called with each evaluation, they return the loss of the first one
+_CALLBACKS: dict[int, Callable[[Any, Any], np.float32]] = {}
 
 
 @cache
-def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., optx.Solution]:
-    """A search, compiled once for all problems of equal number and shapes."""
+def _compile_search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., optx.Solution]:
+    """The search, compiled once for all problems of equal number and shapes."""
 
     def function(z: Float[Array, " free"], args: Any) -> Float[Array, ""]:
         groups, begun, sd, pull, number = args
@@ -131,7 +132,7 @@ def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., opt
         def one(problem: Problem) -> Float[Array, ""]:
             there = problem.having(values)
             found, real = solved({}, there), there.frames.weight > 0
-            # losses leave out frames that are not at rest: the fewer there are the dearer are the others
+            # losses leave out frames that are not at rest, so divide by the share of frames at rest
             rest = jnp.sum(found.converged & real) / jnp.maximum(jnp.sum(real), 1)
             return jnp.where(rest > 0, loss(found, there) / jnp.maximum(rest, 1e-3), NOTHING)
 
@@ -139,7 +140,7 @@ def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., opt
         value = jnp.mean(each)
         told = jax.lax.stop_gradient((number, z, value))
         first = io_callback(
-            lambda number, *told: _HEARD[int(number)](*told), jnp.zeros((), value.dtype), *told, ordered=True
+            lambda number, *told: _CALLBACKS[int(number)](*told), jnp.zeros((), value.dtype), *told, ordered=True
         )
         return SCALE * (value / jnp.maximum(first, 1e-12) + 0.5 * pull * jnp.sum((x / sd) ** 2))
 
@@ -150,8 +151,8 @@ def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., opt
     return quickly(search)
 
 
-def _alike(problems: tuple[Problem, ...]) -> list[list[Problem]]:
-    """Problems of one shape together."""
+def _group_by_shape(problems: tuple[Problem, ...]) -> list[list[Problem]]:
+    """Problems grouped by shape."""
     found: dict[Any, list[Problem]] = {}
     for one in problems:
         shapes = tuple((leaf.shape, leaf.dtype.name) for leaf in jax.tree.leaves(eqx.filter(one, eqx.is_array)))

@@ -229,15 +229,15 @@ def square(at: int) -> np.ndarray:
 
 def test_the_edge_image_has_gradients_and_twice_as_much_where_they_move():
     extract = Extractor()
-    still = extract._moving(square(40))[0].astype(float)
-    again = extract._moving(square(40))[0].astype(float)
-    edge, motion = extract._moving(square(46))
+    still = extract._detect_motion(square(40))[0].astype(float)
+    again = extract._detect_motion(square(40))[0].astype(float)
+    edge, motion = extract._detect_motion(square(46))
     assert still[45, 40] > 200 and again[45, 40] > 200 and still[45, 55] < 30  # of gradients, none inside
     lines = np.full((96, 128), 60, np.uint8)
     cv2.rectangle(lines, (100, 10), (120, 90), 160, -1)
     both = Extractor()
-    both._moving(np.maximum(lines, square(20)))
-    found = both._moving(np.maximum(lines, square(26)))[0].astype(float)
+    both._detect_motion(np.maximum(lines, square(20)))
+    found = both._detect_motion(np.maximum(lines, square(26)))[0].astype(float)
     assert 1.5 < found[45, 26] / found[45, 100] < 2.5
     assert 0 < edge[45, 43] < 255 and motion.max() > 0 and motion[20, 2] < motion.max() / 10
 

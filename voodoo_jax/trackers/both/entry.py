@@ -25,13 +25,13 @@ MOVING = "The camera moves, and the log does not say so: these are the ICP track
 
 
 class BothTrackers(Tracker):
-    """The ICP tracker's tracks, with limbs of the main person where the flexible tracker has them, too."""
+    """The ICP tracker's tracks; those of the main person are merged with the flexible tracker's."""
 
     def __init__(self):
         self._icp, self._flexible = PointTracker(), FlexibleTracker()
 
     def reads(self, read: ReadSettings) -> ReadSettings:
-        """With images; pairs that the reader does not match are matched as the flexible tracker does."""
+        """Adds images; the flexible tracker matches stereo pairs that the reader does not match."""
         return replace(read, images=True)
 
     def passes(self, settings: Settings) -> int:
@@ -41,7 +41,7 @@ class BothTrackers(Tracker):
         self._icp.prepare(task)
 
     def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
-        """Of several people the main one alone is followed in images, too."""
+        """Tracks all people by points, and the main person in images, too."""
         body, settings, source = task.body, task.settings, task.source
         check_suited(body, settings)
         watching = Watching(settings, source.path, given=True)
@@ -59,7 +59,8 @@ class BothTrackers(Tracker):
 
 
 def together(icp: Tracks, flexible: Tracks, person: Subject, settings: Settings) -> Tracks:
-    """Tracks of both trackers merged, with the doubts about the log: of the last frames, as many as `person` has."""
+    """Merges the tracks of both trackers over the last frames, as many as `person` has, and applies the doubts about
+    the log."""
     if not flexible.tracked.any() or any(f.T_fixed_steady is not None for f in person.frames):
         note = MOVING if flexible.tracked.any() else NOBODY
         return replace(icp.since(-len(person.frames)), notes=as_few((*icp.notes, note)))

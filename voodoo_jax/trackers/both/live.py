@@ -1,4 +1,4 @@
-"""Both trackers frame by frame as frames come: what a replay with `online` says of the finished log. Host side."""
+"""Both trackers on live frames, with the same results as a replay with `online` of the finished log. Host side."""
 
 from collections import deque
 from dataclasses import replace
@@ -18,22 +18,22 @@ from voodoo_jax.trackers.icp.live import LiveTracker, joined_tracks
 
 
 class LiveBoth:
-    """Follows the main person by both trackers, and merges what they say of each frame.
+    """Tracks the main person with both trackers and merges their poses frame by frame.
 
-    **Arguments:** `first`, `scene` and `features` as for LiveTracker; `source` what the log is called. Raises
-    Unsuitable, and SettingsError for settings that need later frames.
+    **Arguments:** `first`, `scene` and `features` as for LiveTracker; `source` name of the log. Raises Unsuitable, and
+    SettingsError for settings that need later frames.
     """
 
-    # 6 parameters: those of both
+    # 6 parameters: those of both trackers
     def __init__(
         self, body: Body, settings: Settings, source: str, first: list[BodyObservation], scene: Scene, features: bool
     ):  # fmt: skip
         self._icp = LiveTracker(body, settings, first, scene, features)
         self._flexible = LiveFlexible(body, settings, source, given=True)
         self._scene, self.watched, self._settings = scene, self._flexible.watched, settings
-        self._one = replace(settings, track=replace(settings.track, chunk=1))  # of one frame
-        self._waiting: deque[tuple[BodyObservation, Tracks]] = deque()  # until the ICP tracker has the frame
-        self._recent: list[tuple[Tracks, Tracks]] = []  # of the frames over which both are compared
+        self._one = replace(settings, track=replace(settings.track, chunk=1))  # for merging one frame
+        self._waiting: deque[tuple[BodyObservation, Tracks]] = deque()  # for the ICP tracker's result
+        self._recent: list[tuple[Tracks, Tracks]] = []  # tracks over which both are compared
 
     def prepare(self) -> None:
         """Compiles or loads the programs of the ICP tracker."""
@@ -43,13 +43,13 @@ class LiveBoth:
         """Adds one frame; returns tracks of one frame each, for the frames that are final now, in order."""
         self._scene = scene
         self._waiting.append((frame, self._flexible.add(frame, scene)[0]))
-        return [self._merged(icp) for icp in self._icp.add(frame, scene)]
+        return [self._merge(icp) for icp in self._icp.add(frame, scene)]
 
     def end(self) -> list[Tracks]:
         """Ends the input; returns the frames that waited for more."""
-        return [self._merged(icp) for icp in self._icp.end()]
+        return [self._merge(icp) for icp in self._icp.end()]
 
-    def _merged(self, icp: Tracks) -> Tracks:
+    def _merge(self, icp: Tracks) -> Tracks:
         frame, flexible = self._waiting.popleft()
         if flexible.joint_confidence is None:
             flexible = replace(flexible, joint_confidence=np.full(flexible.joints.shape[:2], np.nan, np.float32))

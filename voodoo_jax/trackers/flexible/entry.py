@@ -11,15 +11,15 @@ from voodoo_jax.trackers.flexible.tracker import track_frames
 
 
 class FlexibleTracker(Tracker):
-    """Masses and springs, particle filters on images (Hecht, Azad, Dillmann 2009)."""
+    """Masses and springs with particle filters on images (Hecht, Azad, Dillmann 2009)."""
 
     def reads(self, read: ReadSettings) -> ReadSettings:
-        """With images; pairs are not matched by the reader, for the tracker does so as far as it needs depth."""
+        """Adds images; the tracker matches stereo pairs itself, only where it needs depth."""
         return replace(read, images=True, matching="none")
 
     def passes(self, settings: Settings) -> int:
         return 1 + (settings.flexible.backwards and not settings.online)
 
     def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
-        """The main person alone: nobody else is told apart in images."""
+        """Tracks the main person alone: images do not separate several people."""
         return [track_frames(task.body, frames, task.source, task.settings, task.progress)]

@@ -1,5 +1,5 @@
-"""One frame of the flexible tracker: the head moves the body, four particle filters and the springs follow it
-(Hecht et al. 2009, sec. III), then measured points pull the body onto themselves. Compiled.
+"""One frame of the flexible tracker: the head moves the body, four particle filters and the springs follow (Hecht et
+al. 2009, sec. III), then measured points pull the body's surface onto them. Compiled.
 """
 
 from functools import partial
@@ -44,33 +44,32 @@ from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, Sta
 from voodoo_jax.trackers.flexible.vectors import Vector, kept, vectors
 from voodoo_jax.trackers.shared.confidence import EXPLAINED
 
-_PROJECTIONS = 3  # sweeps over a particle's constraints: more change little, by hand
-# share of the dangling body's velocity lost in a frame; measured: 0.4 and 0.9 are alike, all is 1.0 cm worse
+_PROJECTIONS = 3  # sweeps over a particle's constraints; more change little; by hand
+# share of the velocity that the dangling body loses per frame; measured: 0.4 and 0.9 give the same, 1 is 1.0 cm worse
 _DAMPING = 0.6
-# points' worth with which a body point stays where it is in the refinement, and how far it goes where its points pull
-# it: over one, as springs take some of it back. Measured: 2.7 and 6 are alike, 1.8 is as good, 0.8 0.3 to 1.3 cm worse
+# refinement: weight of a body point's own position, in measured points, and share of the pull that it follows: above
+# one, since springs undo a part of it. Measured: 2.7 and 6 give the same, 1.8 is as good, 0.8 is 0.3 to 1.3 cm worse
 _HOLD, _PULL = 4.0, 1.2
 _SWEEPS = 3  # relaxations after each pull, by hand
-# in the refinement the head may move, but less than other points: its place is measured. Measured: 2 and 4.5 are alike,
-# 1 is 0.2 cm worse
+# in the refinement the head moves less than other points, since its position is measured. Measured: 2 and 4.5 give the
+# same, 1 is 0.2 cm worse
 _REFINED_MASSES = np.where(np.arange(16) == HEAD, np.float32(3), np.float32(1))
-_BARE_WEIGHT = 3.0  # points of skin weigh so much more for arms, by hand: a hand has few
-_REACH = 0.25  # metres: points farther from the body pull nothing; measured: 0.17 and 0.38 are alike, any 0.3 cm worse
-_NOT_CLOTHES = 0.3  # metres: any gives the same that is farther than distances tell (Weighing.cap, 0.2 m)
-_FACE = 0.11  # of the stature: skin so near the head point may be the face's, measured on rendered people
-# share of a frame's points that a limb's particles look at: a leg has a fifth of a person's surface, by hand
+_BARE_WEIGHT = 3.0  # additional weight of skin points for arms, by hand: a hand has few points
+_REACH = 0.25  # metres: farther points do not pull; measured: 0.17 and 0.38 give the same, no limit is 0.3 cm worse
+_NOT_CLOTHES = 0.3  # metres: any gives the same above the distance at which points are capped (Weighing.cap, 0.2 m)
+_FACE = 0.11  # share of the stature: skin closer to the head point may belong to the face, measured on rendered people
+# share of a frame's points that weigh a limb's particles: a leg has a fifth of a person's surface, by hand
 _WORTHWHILE = 1 / 3
-# of the hypotheses: share of a body's turning that is expected to go on, radians in a frame that count at most, and
-# what the logarithm of a weight loses where a face is seen of a body that looks away: chosen on half of
-# experiments/stereo
+# hypotheses: share of a body's turning rate that persists, most radians per frame that count, and penalty on the
+# logarithm of a weight where a face is visible but the body faces away: chosen on half of experiments/stereo
 _GOES_ON, _MOST, _FRONT = 0.7, 0.7, 3.0
 
 
 def start(key: Array, body: FlexibleBody, x: Float[Array, "16 3"], shape: Shape) -> State:
-    """The state before the first frame, the particles a little around a pose."""
+    """The state before the first frame, with particles spread around a pose."""
     noise = 0.03 * jax.random.normal(key, (4, shape.particles, 3, 3))
     p = x[LIMBS][:, None] + noise
-    # with the types that a frame's state has: else the second chunk would be a program of its own
+    # with the types of a frame's state: otherwise the second chunk would compile another program
     full = lambda shape, value: jnp.full(shape, value, x.dtype)  # noqa: E731
     return State(x, x, p, p, full((4, 3), 0.05), full((4, 2, 10, 3), 0.5), full((4, 2, 10), 0.0), full((), 0.0))
 
@@ -79,17 +78,17 @@ def start(key: Array, body: FlexibleBody, x: Float[Array, "16 3"], shape: Shape)
 def track_chunk(
     body: FlexibleBody, state: State, inputs: Inputs, key: Array, numbers: Numbers, shape: Shape
 ) -> tuple[State, Seen]:
-    """Some frames, one after the other; leading axis of `inputs` and of what is seen: frame."""
+    """Runs the filters over frames in order; leading axis of `inputs` and of the results: frame."""
 
     def one(state, given):
         run = lambda: hypotheses(body, state, given, jax.random.fold_in(key, given.index), numbers, shape)  # noqa: E731
-        return lax.cond(given.valid, run, lambda: (state, _nothing(len(state.x), state.x.dtype)))
+        return lax.cond(given.valid, run, lambda: (state, _blank_results(len(state.x), state.x.dtype)))
 
     return lax.scan(one, state, inputs)
 
 
-def _nothing(count: int, dtype: Any) -> Seen:
-    """What no frame says of itself: written down, for to ask `frame` for its shapes would trace it twice."""
+def _blank_results(count: int, dtype: Any) -> Seen:
+    """The result of a padding frame; written out, since jax.eval_shape of `frame` would trace it twice."""
     none = lambda *shape: jnp.zeros((count, *shape), dtype)  # noqa: E731
     score = Score(none(4), none(4), none(4), none(4), none(4))
     return Seen(
@@ -101,18 +100,18 @@ def _nothing(count: int, dtype: Any) -> Seen:
 def hypotheses(
     body: FlexibleBody, states: State, given: Inputs, key: Array, n: Numbers, shape: Shape
 ) -> tuple[State, Seen]:
-    """One frame of several bodies, each turned a little otherwise; they are drawn again by how well they fit, like
-    particles of which each has filters of its own. Leading axis of `states` and of what is seen: hypothesis.
+    """One frame of several hypotheses of the body, each turned differently and resampled by its fit, like particles
+    that each have their own limb filters. Leading axis of `states` and of the results: hypothesis.
 
-    Limbs alone have filters in the paper: a trunk that turns by 30 degrees from one frame to the next is lost by it.
-    The last body begins anew where one is guessed from this frame alone: what all have lost is found again.
+    In the paper only limbs have filters, so it loses a trunk that turns by 30 degrees between frames. The last
+    hypothesis restarts from a guess of this frame alone, if there is one, and so recovers a body that all have lost.
     """
     count, keys = shape.hypotheses, jax.random.split(key, 4)
     apart = jax.random.permutation(keys[0], jnp.asarray(ndtri((np.arange(count) + 0.5) / count), jnp.float32))
     angle = _GOES_ON * states.rate + n.turning[0] * apart
     lean = n.turning[1] * jax.random.normal(keys[1], (count, 3))
     ahead = jax.vmap(turned_body)(states, given.dt * (angle[:, None] * given.up + lean)) if count > 1 else states
-    # the last of several; a single one, as in the paper, never
+    # the last of several hypotheses restarts; a single one, as in the paper, never does
     anew = given.guessed * jnp.asarray(np.arange(count) == max(count - 1, 1), states.x.dtype)
     fresh = start(jax.random.fold_in(keys[1], count), body, given.guess, shape)._replace(
         colours=states.colours, learnt=states.learnt
@@ -134,7 +133,7 @@ def hypotheses(
 
 
 def heading(x: Float[Array, "16 3"], up: Float[Array, "3"]) -> Float[Array, ""]:
-    """Of the line from the right shoulder and hip to the left ones, about the vertical, radians."""
+    """Heading of the line from the right shoulder and hip to the left ones, about the vertical, radians."""
     left = x[2] - x[5] + x[10] - x[13]
     east = jnp.eye(3)[jnp.argmin(jnp.abs(up))]
     east = unit(east - jnp.sum(east * up) * up)
@@ -142,7 +141,7 @@ def heading(x: Float[Array, "16 3"], up: Float[Array, "3"]) -> Float[Array, ""]:
 
 
 def turned_body(state: State, by: Float[Array, "3"]) -> State:
-    """Turned about the middle of the trunk by a vector of rotation, radians."""
+    """The state turned about the middle of the trunk by a rotation vector, radians."""
     size = jnp.sqrt(jnp.sum(by**2) + 1e-12)
     cross = jnp.cross(by / size, jnp.eye(3), axisb=0, axisc=0)
     turn = jnp.eye(3) + jnp.sin(size) * cross + (1 - jnp.cos(size)) * (cross @ cross)
@@ -156,18 +155,18 @@ def turned_body(state: State, by: Float[Array, "3"]) -> State:
 def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, shape: Shape) -> tuple[State, Seen]:
     """One frame: prediction, filters, springs, refinement."""
     view, args = given.view, (body, state, given, key, n)
-    filters = jax.jit(_filtered, static_argnums=6)  # it is traced once, for its shapes and for itself
+    filters = jax.jit(_run_filters, static_argnums=6)  # traced once, for its shapes and for its use
     x, blank = head_moved(body, state, given, n), jax.eval_shape(filters, *args, state.x, shape)
     none = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), blank)
 
     def settle(phase, carry):
-        """Torso and head first: else limbs are drawn to the points that a bow leaves unexplained."""
+        """Torso and head first: otherwise points that a bow leaves unexplained attract limbs."""
         x, found = carry
         found = lax.cond(phase > 0, lambda: filters(*args, x, shape), lambda: found._replace(x=x, masses=body.masses))
         rounds = jnp.where(phase > 0, shape.refine, shape.refine // 2)
         return settled(body, found.x, found.masses, rounds, given, n, shape), found
 
-    x, found = lax.fori_loop(0, 2, settle, (x, none))  # so that both are compiled once
+    x, found = lax.fori_loop(0, 2, settle, (x, none))  # a loop, so that both phases are compiled once
     p, origin, mean, spread, masses = found.particles, found.origin, found.mean, found.spread, found.masses
     near = found.near
     shift = (x[LIMBS] - mean)[:, None] if shape.refine else jnp.zeros((4, 1, 3, 3))
@@ -182,30 +181,30 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
 
     colours, learnt = lax.cond(given.learn > 0, more, lambda: (state.colours, state.learnt))
     after = State(x, state.x, p + shift, origin + shift, spread, colours, learnt, state.rate)
-    return after, _seen(body, x, spread, masses, given, near, n)
+    return after, _summarise(body, x, spread, masses, given, near, n)
 
 
 class Filtered(NamedTuple):
-    """What the filters say of a frame."""
+    """Results of the limb filters in a frame."""
 
-    x: Float[Array, "16 3"]  # the body with their means, metres
+    x: Float[Array, "16 3"]  # the body with the particles' means, metres
     masses: Float[Array, " 16"]
     particles: Float[Array, "4 particle 3 3"]
-    origin: Float[Array, "4 particle 3 3"]  # where each came from
+    origin: Float[Array, "4 particle 3 3"]  # previous position of each particle
     mean: Float[Array, "4 3 3"]
     spread: Float[Array, "4 3"]  # standard deviation, metres
-    near: LimbContext  # with the points that limbs look at
+    near: LimbContext  # with the points that weigh the limbs
     hidden: Float[Array, "4 row column"]  # see scores.occlusion
-    more: tuple[Float[Array, "4 row column"], ...]  # the same in the views of further cameras
+    more: tuple[Float[Array, "4 row column"], ...]  # the same for further cameras
 
 
 # 7 parameters: model, state and measurements, traced each
-def _filtered(
+def _run_filters(
     body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, x: Float[Array, "16 3"], shape: Shape
 ) -> Filtered:
-    """The filters of all limbs, of a body whose trunk stands."""
+    """Runs the filters of all limbs with the trunk fixed."""
     view = given.view
-    space, context = limb_spaces(body, vectors(x), n.legs_apart, n.floor), _context(body, state, x, given, shape)
+    space, context = limb_spaces(body, vectors(x), n.legs_apart, n.floor), _build_context(body, state, x, given, shape)
     ahead = carried_on(state, n)
     near = jax.vmap(lambda one: worthwhile(one, round(_WORTHWHILE * len(given.points)), n.weighing))(context)
     p, origin, mean, spread = spread_and_drawn(key, ahead, state.particles, state.spread, space, near, view, n, shape)
@@ -215,7 +214,7 @@ def _filtered(
 
 
 def head_moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers) -> Float[Array, "16 3"]:
-    """The body with its head where it was measured, the rest following, a Verlet step later; not yet relaxed."""
+    """The body one Verlet step later, its head at the measured position and the rest following; not yet relaxed."""
     move = jnp.where(given.head_seen > 0, given.head - state.x[HEAD], 0.0)
     high = jnp.sum(move * given.up) * given.up
     follow = n.follow[0] * (move - high) + n.follow[1] * high
@@ -231,7 +230,7 @@ def settled(
     body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], rounds: Int[Array, ""], given: Inputs,
     n: Numbers, shape: Shape,
 ) -> Float[Array, "16 3"]:  # fmt: skip
-    """Springs and limits, then `rounds` of the refinement: one loop, so that both are compiled once."""
+    """Relaxes springs and limits, then refines `rounds` times; one loop, so that both are compiled once."""
 
     def one(number, x):
         pulls = number > 0
@@ -243,7 +242,9 @@ def settled(
     return lax.fori_loop(0, 1 + rounds, one, x)
 
 
-def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: Inputs, shape: Shape) -> LimbContext:
+def _build_context(
+    body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: Inputs, shape: Shape
+) -> LimbContext:
     hidden = occlusion(body, x, given.view)
     used = len(given.points) if shape.points else 0
     if shape.points:
@@ -263,14 +264,14 @@ def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: I
 
 
 def clothed(bare: Float[Array, " point"]) -> Float[Array, "part point"]:
-    """By how much farther bare skin is from what is clothed than it seems to be: it is of a face, an arm or a hand."""
+    """Distance added between skin points and clothed parts, metres: skin belongs to a face, an arm or a hand."""
     covered = np.ones((PARTS, 1), np.float32)
     covered[:6] = covered[12] = 0
     return _NOT_CLOTHES * jnp.asarray(covered) * bare
 
 
 def carried_on(state: State, n: Numbers) -> Float[Array, "4 particle 3 3"]:
-    """Where the particles are expected: damped constant velocity."""
+    """Predicted particles: damped constant velocity."""
     return state.particles + n.velocity * (state.particles - state.previous)
 
 
@@ -279,11 +280,11 @@ def spread_and_drawn(
     key: Array, p: Array, origin: Array, spread: Array, space: LimbSpace, context: LimbContext, view: View, n: Numbers,
     shape: Shape,
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Spreads, weighs and draws the particles anew, in each layer finer: particles, where they came from, their
+    """Spreads, weighs and resamples the particles, in each layer finer; returns particles, their previous positions,
     weighted mean and standard deviation [limb, point]."""
     count, particles = shape.layers, shape.particles
     keys = jax.random.split(key, 3)
-    # all at once: a draw costs as much for few numbers as for many
+    # all random numbers at once: a draw takes as long for few numbers as for many
     normal = jax.random.normal(keys[0], (count, 4, 4, 3, particles))
     pick = jax.random.uniform(keys[1], (count, 4, particles))
     offset = jax.random.uniform(keys[2], (count, 4))
@@ -337,8 +338,8 @@ def refined(
     rounds: int, legs_apart: Float[Array, ""] | float = 0.0, floor: Float[Array, "4"] | None = None,
     bare: Float[Array, "point"] | None = None,
 ) -> Float[Array, "16 3"]:  # fmt: skip
-    """Points pull the nearest axes and patches until they lie on the surface, then springs and limits hold: in turn.
-    Differentiable: which part is nearest is held fixed."""
+    """Repeats: points pull the nearest axes and patches until they lie on the surface, then springs and limits are
+    relaxed. Differentiable, with the nearest part of each point held fixed."""
 
     def one(_, x):
         moved = pulled(body, x, points, share, bare)
@@ -351,7 +352,7 @@ def pulled(
     body: FlexibleBody, x: Float[Array, "16 3"], points: Float[Array, "point 3"], share: Float[Array, "point"],
     bare: Float[Array, "point"] | None = None,
 ) -> Float[Array, "16 3"]:  # fmt: skip
-    """The body's points moved to where measured points pull the nearest axes and patches."""
+    """The body's points after measured points have pulled the nearest axes and patches."""
     q = vectors(points)
     distance = jnp.abs(surface_distance(body, x, q)) + (0.0 if bare is None else clothed(bare))
     best = kept(body.stature > 0, partial(jnp.argmin, axis=0), lax.stop_gradient(distance))
@@ -366,7 +367,7 @@ def pulled(
 
 
 # 7 parameters: model, state and measurements, traced each
-def _seen(
+def _summarise(
     body: FlexibleBody, x: Float[Array, "16 3"], spread: Array, masses: Array, given: Inputs, context: LimbContext,
     n: Numbers,
 ) -> Seen:  # fmt: skip

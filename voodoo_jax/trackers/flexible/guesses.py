@@ -1,4 +1,4 @@
-"""The body in single frames, as the learned eye sees it: where a lost hypothesis of the flexible tracker begins anew.
+"""The body in single frames by the learned eye: lost hypotheses of the flexible tracker restart from it.
 
 Host side.
 """
@@ -12,8 +12,8 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
 from voodoo_jax.trackers.shared.eye import SURE, seen
 
-# what the logarithm of a frame's odds of the facing counts, as frames err alike, and the concentration of the change of
-# facing between frames (von Mises): chosen on half of experiments/stereo
+# weight of a frame's logarithm of the odds of the facing, since errors of frames are correlated, and concentration of
+# the change of facing between frames (von Mises): chosen on half of experiments/stereo
 _COUNTS, _STEADY = 0.5, 6.0
 _AT = {name: i for i, name in enumerate(POINTS)}
 _NAMED = [_AT[point] for point in CENTRES]
@@ -21,20 +21,20 @@ _FROM = [JOINTS.index(centre) for centre in CENTRES.values()]
 
 
 class Guesses:
-    """The body in each frame so far; metres, fixed frame. Left and right are as all frames so far make it likeliest,
-    since the eye takes a front for a back in one of ten frames.
+    """The body in each frame so far; metres, fixed frame. Left and right are the likeliest by all frames so far, since
+    the eye confuses front and back in one of ten frames.
 
     **Arguments:** `rest` the flexible body at rest.
     """
 
     def __init__(self, rest: Float[np.ndarray, "16 3"]):
-        self.place: dict[int, Float32[np.ndarray, "16 3"]] = {}  # by row; none: the eye is not sure
+        self.place: dict[int, Float32[np.ndarray, "16 3"]] = {}  # by row; absent: the eye is not sure
         hip, waist, shoulder = (float(rest[_AT[f"l_{name}"], 2]) for name in ("hip", "waist", "shoulder"))
         self._waist = (waist - hip) / (shoulder - hip)
-        self._odds, self._front = 0.0, np.zeros(3)  # in the last frame: of the eye's left and right; where it faces
+        self._odds, self._front = 0.0, np.zeros(3)  # in the last frame: odds of the eye's left and right; its front
 
     def look(self, row: int, person: BodyObservation, floor: Plane) -> None:
-        """In one more frame, which follows the one before."""
+        """Adds the next frame."""
         found = seen(person, floor)
         if found is None or np.median(found.spread) > SURE:
             self._front = np.zeros(3)

@@ -1,5 +1,5 @@
-"""The head, by a particle filter on skin with the depth of the face (Hecht et al. 2009, sec. III), and the start:
-stature, heading and first pose. Host side.
+"""Tracks the head by a particle filter on skin colour and the depth of the face (Hecht et al. 2009, sec. III), and
+finds the start: stature, heading and first pose. Host side.
 """
 
 from dataclasses import dataclass, field
@@ -13,25 +13,25 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.trackers.flexible.image_features import Features, SkinModel, depth_points
 
 FACE = (0.045, 0.055)  # half width and height of the face, shares of stature, measured on rendered people
-BEHIND = 0.05  # the head point is so far behind the face's skin, share of stature: the study measured it
-HEAD_HEIGHT = 0.907  # of the head point, share of stature: measured on the built-in body
-_CROWN = 0.115  # what is so near the top, share of stature, is head: measured on rendered people
-# what is so near the axis below the head, share of stature, is clothed. Measured: 0.12 and 0.08 instead are 0.06 and
-# 0.3 cm worse, a kick 1.0 and 1.6
+BEHIND = 0.05  # distance of the head point behind the face's skin, share of stature: measured on rendered people
+HEAD_HEIGHT = 0.907  # height of the head point, share of stature: measured on the built-in body
+_CROWN = 0.115  # points closer to the top, share of stature, belong to the head: measured on rendered people
+# points closer to the axis below the head, share of stature, are clothed. Measured: 0.12 and 0.08 instead are 0.06 and
+# 0.3 cm worse, in a kick 1.0 and 1.6
 _TRUNK, _LEGS = 0.08, 0.12
-_UNSEEN = 1.014  # stature over the height of the top that stereo shows: hair has no texture; measured on four people
-# share of skin within the box over that around it from which on it is a face: fitted, experiments/numbers: 0 is 1.7 cm
-# worse, 0.37 0.4
+_UNSEEN = 1.014  # stature over the height of the highest stereo points: hair has no texture; measured on four people
+# a box is a face if its share of skin exceeds the share around it by this: fitted, experiments/numbers: 0 is 1.7 cm
+# worse, 0.37 is 0.4 cm worse
 _SURE = 0.25
-# of the particles' weights, and pixels by which they are spread; measured: 9 and 21, 3.3 and 7.5 are 0.1 to 0.4 worse
+# of the particles' weights, and their spread in pixels; measured: 9 and 21, 3.3 and 7.5 are 0.1 to 0.4 cm worse
 _SHARPNESS, _NOISE = 14.0, 5.0
-_BORDER = 3  # pixels around the face that OpenCV looks at for its corners: three windows of three; more gives the same
-_VELOCITY = 0.5  # share of the last motion that goes on, as for limbs in the paper
+_BORDER = 3  # pixels around the face that OpenCV reads for corners: three windows of three; more gives the same
+_VELOCITY = 0.5  # share of the last motion that persists, as for limbs in the paper
 
 
 @dataclass(frozen=True)
 class Start:
-    """What the first frame with a person says."""
+    """The start found in the first frame with a person."""
 
     stature: float  # metres
     head: Float32[np.ndarray, "3"]  # of the head point, metres
@@ -42,8 +42,7 @@ class Start:
 def find_start(
     f: Features, points: Float32[np.ndarray, "point 3"], floor: Plane, skin: SkinModel, stature: float = 0.0
 ) -> Start:
-    """Stature from the top of the person's points over the floor, the head below it, the face's colours (which `skin`
-    learns), and which way the person faces.
+    """Finds stature (from the highest points above the floor), head and facing; `skin` learns the colours of the face.
 
     **Arguments:** `points` on the person, metres; `stature` metres, 0: measured.
     """
@@ -65,14 +64,14 @@ def find_start(
     axis = np.linalg.svd(flat, full_matrices=False)[2][0]
     left = axis - (axis @ up) * up
     left /= max(float(np.linalg.norm(left)), 1e-6)
-    if np.cross(left, up) @ toward < 0:  # a seen face means facing the camera, and so does none at the start
+    if np.cross(left, up) @ toward < 0:  # the person is taken to face the camera, with a visible face and without
         left = -left
     return Start(float(stature), head.astype(np.float32), left.astype(np.float32), seen)
 
 
 def _learn_skin(f: Features, floor: Plane, skin: SkinModel, centre: np.ndarray, top: float, stature: float) -> bool:
-    """Skin is what is in the middle of the head below its top, clothes what is below it: trunk without arms, and legs.
-    Whether a face was seen.
+    """Learns skin colour from the middle of the head below its top, and clothes from trunk (without arms) and legs.
+    Returns whether a face was seen.
 
     **Arguments:** `centre` of the head, levelled; `top` its height; metres.
     """
@@ -96,10 +95,10 @@ def _learn_skin(f: Features, floor: Plane, skin: SkinModel, centre: np.ndarray, 
 def first_pose(
     rest: Float[np.ndarray, "16 3"], begin: Start, up: Float[np.ndarray, "3"]
 ) -> Float32[np.ndarray, "16 3"]:
-    """The resting body turned to where the person faces, its arms a little out, dangling from the head."""
+    """The resting body at the measured head, in the person's facing, with the arms slightly out."""
     x = rest.astype(float).copy()
     for root, rows, side in ((2, [3, 4], 1), (5, [6, 7], -1)):
-        turn = Rotation.from_euler("x", 12 * side, degrees=True)  # people hold them 15 to 20 degrees out (the study)
+        turn = Rotation.from_euler("x", 12 * side, degrees=True)  # people hold them 15 to 20 degrees out
         x[rows] = turn.apply(x[rows] - x[root]) + x[root]
     frame = np.stack([np.cross(begin.left, up), begin.left, up])
     return ((x - x[0]) @ frame + begin.head).astype(np.float32)
@@ -107,19 +106,19 @@ def first_pose(
 
 @dataclass
 class HeadFilter:
-    """Particles (pixels of the features) of the face; each image moves, weighs and draws them anew."""
+    """Particles (pixels of the features) of the face; each image moves, weighs and resamples them."""
 
     skin: SkinModel
     stature: float
     count: int
     rng: np.random.Generator
     particles: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))  # from the face's place to the head point, metres
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))  # from the face to the head point, metres
     depth: float = 0.0  # of the face, metres
     moved: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
     def begin(self, f: Features, head: Float32[np.ndarray, "3"], face_seen: bool) -> None:
-        """Takes the face in the first image for that of the head point `head`."""
+        """Starts the filter at the face of the head point `head` in the first image."""
         q = f.turn @ head + f.shift
         self.depth = float(q[2]) - BEHIND * self.stature
         at = q[:2] / q[2] * f.focal[:2] + f.focal[2:]
@@ -135,7 +134,7 @@ class HeadFilter:
         total = cv2.integral(skin)
         p = self.particles + _VELOCITY * self.moved + self.rng.normal(0, _NOISE, self.particles.shape)
         half = np.array(FACE) * self.stature * f.focal[0] / max(self.depth, 0.3)
-        inside, around = _share(total, p, half), _share(total, p, 2 * half)
+        inside, around = _average_in_boxes(total, p, half), _average_in_boxes(total, p, 2 * half)
         score = inside - (4 * around - inside) / 3
         weight = np.exp(_SHARPNESS * (score - score.max()))
         weight /= weight.sum()
@@ -145,7 +144,7 @@ class HeadFilter:
         if weight @ score < _SURE:
             self.moved = np.zeros(2)
             return None
-        z = self._face_depth(f, skin, mean, half)
+        z = self._measure_face_depth(f, skin, mean, half)
         self.moved = np.clip(mean - self.particles.mean(0), -12, 12)
         self.particles = chosen
         if z is None:
@@ -156,28 +155,28 @@ class HeadFilter:
         return (((place - f.shift) @ f.turn) + self.offset).astype(np.float32)
 
     def follow(self, f: Features, head: Float32[np.ndarray, "3"]) -> None:
-        """Looks for the face around a place that something else has found."""
+        """Moves the particles to a position of the head found without the face."""
         q = f.turn @ head + f.shift
         at = q[:2] / max(float(q[2]), 0.3) * f.focal[:2] + f.focal[2:]
         self.depth, self.moved = float(q[2]), np.zeros(2)
         self.particles = at + self.rng.normal(0, 2 * _NOISE, (self.count, 2))
 
-    def _face_depth(self, f: Features, skin: np.ndarray, at: np.ndarray, half: np.ndarray) -> float | None:
+    def _measure_face_depth(self, f: Features, skin: np.ndarray, at: np.ndarray, half: np.ndarray) -> float | None:
         if f.pair.size:
             return face_depth(f, at, half, self.depth)
-        z = _box(f.depth, at, half)
-        good = (z > 0) & (_box(skin, at, half) > 0.4) & (np.abs(z - self.depth) < 0.5)
+        z = _crop(f.depth, at, half)
+        good = (z > 0) & (_crop(skin, at, half) > 0.4) & (np.abs(z - self.depth) < 0.5)
         return float(np.median(z[good])) if good.sum() >= 5 else None
 
 
-def _box(image: np.ndarray, at: np.ndarray, half: np.ndarray) -> np.ndarray:
+def _crop(image: np.ndarray, at: np.ndarray, half: np.ndarray) -> np.ndarray:
     """The part of an image within a box."""
     low, high = np.round(at - half).astype(int), np.round(at + half).astype(int) + 1
     return image[max(low[1], 0) : max(high[1], 0), max(low[0], 0) : max(high[0], 0)]
 
 
-def _share(total: np.ndarray, p: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Mean of an image within boxes, from its integral; what is outside of it counts as 0."""
+def _average_in_boxes(total: np.ndarray, p: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Mean of an image within boxes, from its integral; pixels outside of the image count as 0."""
     rows, columns = total.shape[0] - 1, total.shape[1] - 1
     low, high = np.round(p - half).astype(int), np.round(p + half).astype(int) + 1
     u0, u1 = np.clip(low[:, 0], 0, columns), np.clip(high[:, 0], 0, columns)
@@ -187,9 +186,9 @@ def _share(total: np.ndarray, p: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 
 def face_depth(f: Features, at: np.ndarray, half: np.ndarray, near: float) -> float | None:
-    """Depth of the face by stereo correspondences of corners on it alone, metres; None if too few are found.
+    """Depth of the face by stereo correspondences of its corners alone, metres; None with too few corners.
 
-    **Arguments:** `at`, `half` the face's box, pixels of the features; `near` about how far it is, metres.
+    **Arguments:** `at`, `half` the face's box, pixels of the features; `near` its approximate depth, metres.
     """
     left, right = f.pair
     scale = left.shape[1] / f.colour.shape[1]

@@ -1,4 +1,4 @@
-"""The flexible tracker frame by frame as they come: what a replay with `online` says of the finished log. Host side."""
+"""The flexible tracker on live frames, with the results of a replay with `online` of the finished log. Host side."""
 
 import time
 from dataclasses import replace
@@ -31,9 +31,9 @@ from voodoo_jax.trackers.flexible.tracker import (
 
 
 class LiveFlexible:
-    """Follows the main person through frames with pictures of one camera or pair, as they come.
+    """Tracks the main person in live frames with pictures of one camera or stereo pair.
 
-    **Arguments:** `source` what the log is called; `given` see Watching: then there may be frames without images.
+    **Arguments:** `source` name of the log; `given` see Watching: then there may be frames without images.
     Raises Unsuitable, and SettingsError for settings that need later frames.
     """
 
@@ -44,16 +44,16 @@ class LiveFlexible:
         self._body, self.settings, self.seconds = body, settings, 0.0
         self._watching, self._kept = Watching(settings, source, given), Spill()
         self.watched = self._watching.watched  # the person in each frame
-        self._people: list[BodyObservation] = []  # without points, but for the last one
+        self._people: list[BodyObservation] = []  # only the last one has points
         self._on: Begun | None = None
         self._rows: list[Seen] = []
         self._scene: Scene | None = None
 
     def prepare(self) -> None:
-        """Nothing is known yet of the images that the program is compiled for."""
+        """Does nothing: the size of the images, for which the program is compiled, is not known yet."""
 
     def add(self, frame: BodyObservation, scene: Scene) -> list[Tracks]:
-        """Takes one frame; its tracks."""
+        """Adds one frame; returns its tracks."""
         began, waited = time.perf_counter(), seconds_of_waiting()
         self._scene = scene
         if not self._watching.shows(len(self._people), frame.time_ns):
@@ -71,23 +71,23 @@ class LiveFlexible:
             )
             self._on = self._on._replace(states=states)
             self._rows.append(chosen(every, descent(every, True)))
-        # arrays of the last frames alone: those of a long recording would be made anew for each of its frames
+        # arrays of the last frames alone: those of a long recording would be copied for each of its frames
         recent = self._rows[-AROUND:]
         seen = seen.since(row + 1 - max(1, len(recent)))
         out = nobody_of(self._body, seen.time_ns, scene)
         if self._on is not None:
-            out = finished(self._on._replace(seen=seen, first=0), out, _joined(recent), self.settings)
+            out = finished(self._on._replace(seen=seen, first=0), out, _concatenate(recent), self.settings)
         out = out.only(slice(seen.row[-1], seen.row[-1] + 1))
         self._watching.forget(row + 1)
         self.seconds += time.perf_counter() - began - (seconds_of_waiting() - waited)
         return [out]
 
     def end(self) -> list[Tracks]:
-        """No more frames come."""
+        """Ends the input; no frames are pending."""
         return []
 
     def whole(self, source: LogInfo) -> Tracks:
-        """All frames as one, as replay writes them."""
+        """Tracks of all frames, as replay writes them."""
         people, scene = self._kept.frames(), self._scene
         assert scene is not None
         seen = self._watching.observed(people, scene)
@@ -95,8 +95,8 @@ class LiveFlexible:
         self._watching.close()
         if self._on is None:
             return replace(nobody, notes=(*nobody.notes, NOBODY))
-        return finished(self._on._replace(seen=seen), nobody, _joined(self._rows), self.settings)
+        return finished(self._on._replace(seen=seen), nobody, _concatenate(self._rows), self.settings)
 
 
-def _joined(rows: list[Seen]) -> Seen:
+def _concatenate(rows: list[Seen]) -> Seen:
     return jax.tree.map(lambda *each: np.concatenate(each), *rows)

@@ -1,7 +1,7 @@
 """Physics of the flexible body (Hecht et al. 2009, sec. II): Verlet steps, relaxation of springs and limits.
 
-Everything is pure and takes arrays of fixed shapes, so that it is compiled once and mapped over particles, bodies and
-recordings; gradients flow through positions, lengths and stiffnesses.
+All functions are pure with arrays of fixed shapes, so they compile once and map over particles, bodies and recordings.
+They are differentiable in positions, lengths and stiffnesses.
 """
 
 from typing import NamedTuple
@@ -23,35 +23,34 @@ from voodoo_jax.trackers.flexible.flexible_body import (
     FlexibleBody,
     bone_lengths,
 )
-from voodoo_jax.trackers.flexible.vectors import Vector, vectors
+from voodoo_jax.trackers.flexible.vectors import TINY, Vector, vectors
 
-# least cosines of the first bone's direction with an axis of the torso (forward, outward, up; signs as in the rows):
-# ranges of motion of shoulders and hips. Measured: without any a kick is 0.8 cm worse; with those of the American
-# Academy of Orthopaedic Surgeons (extension 60 and 30 degrees, adduction 30, abduction 45, flexion 120) it is 0.6
-# better, but a body that dangles freely swings itself up
+# least cosines of the first bone's direction with an axis of the torso (forward, outward, up, with the signs of the
+# rows): ranges of motion of shoulders and hips. Measured: without them a kick is 0.8 cm worse; with those of the
+# American Academy of Orthopaedic Surgeons (extension 60 and 30 degrees, adduction 30, abduction 45, flexion 120) it is
+# 0.6 cm better, but a freely dangling body gains energy and swings up
 _ARM_LIMITS = (((1, 0, 0), -0.80), ((0, 1, 0), -0.65), ((0, -1, 0), -1.0), ((0, 0, -1), -1.0))
 # as above, measured
 _LEG_LIMITS = (((1, 0, 0), -0.55), ((0, 1, 0), -0.45), ((0, -1, 0), -0.80), ((0, 0, -1), -0.70))
-# the paper's, of left and right arm, left and right leg
+# for the paper's left and right arm, left and right leg
 _LIMITS = np.array([[(*n, c) for n, c in rows] for rows in (_ARM_LIMITS,) * 2 + (_LEG_LIMITS,) * 2], np.float32)
-# radians, least angle between two bones of a limb: the paper of that academy (1965) has elbows bend by 150 degrees
+# radians, least angle between the two bones of a limb: in the paper of that academy (1965) elbows bend by 150 degrees
 _SHARPEST = np.pi / 6
-# metres that a knee may be behind the line from hip to ankle. Measured: 0.013 and 0.03 are alike, 0 is 0.4 cm worse for
-# a bow
+# metres that a knee may be behind the line from hip to ankle. Measured: 0.013 and 0.03 give the same, 0 is 0.4 cm
+# worse in a bow
 _KNEE_BACK = 0.02
-# share of the standing distance from the hips' middle to the neck that is left when a person bows: spines bend, hips do
-# the rest. Measured on rendered people (0.915 to 0.95), whose flat bodies else fold at the waist
+# distance from the hips' middle to the neck of a bowing person, share of the standing distance: spines bend, hips do
+# the rest. Measured on rendered people (0.915 to 0.95); without it their flat bodies fold at the waist
 _BOWED = 0.92
-# how near the two knees and the two ankles come to each other, shares of stature: measured on 27 recordings of people
-# who stand, walk, run and bow (knees 0.072 and more, ankles 0.053)
+# least distance between both knees and between both ankles, shares of stature: measured on 27 recordings of people
+# standing, walking, running and bowing (knees 0.072 and more, ankles 0.053)
 LEGS_NEAR = np.array([0.075, 0.058], np.float32)
-ANKLE = 0.035  # share of the stature that an ankle is above the floor, measured on the built-in body
-NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # a kilometre down: any gives the same that is below feet
-_TINY = 1e-9  # square metres: float32 has no smaller distances here
+ANKLE = 0.035  # height of an ankle above the floor, share of stature, measured on the built-in body
+NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # a kilometre down: any gives the same below the feet
 
 
 class Frames(NamedTuple):
-    """Directions of the torso's two parts, from positions of points; rows: forward, left, up."""
+    """Directions of the torso's two parts; rows: forward, left, up."""
 
     upper: Float[Array, "3 3"]
     lower: Float[Array, "3 3"]
@@ -66,7 +65,7 @@ class _Axes(NamedTuple):
 
 
 def length(v: Float[Array, "*b 3"]) -> Float[Array, "*b 1"]:
-    """Lengths, kept as an axis; smooth at zero."""
+    """Lengths, with a last axis of size 1; smooth at zero."""
     return vectors(v).length()[..., None]
 
 
@@ -74,21 +73,21 @@ def unit(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     return v / length(v)
 
 
-def _axes(left: Vector, up: Vector) -> _Axes:
+def _orthogonalise(left: Vector, up: Vector) -> _Axes:
     up = up.unit()
     left = (left - up * left.dot(up)).unit()
     return _Axes(left.cross(up), left, up)
 
 
-def _torso(x: Vector) -> tuple[_Axes, _Axes, Vector, Vector]:
-    """Upper and lower axes, the middle of the hips, that of the shoulders."""
+def _find_torso(x: Vector) -> tuple[_Axes, _Axes, Vector, Vector]:
+    """Axes of the upper and lower torso, the middle of the hips and that of the shoulders."""
     shoulders, waist, hips = ((x[i] + x[j]) * 0.5 for i, j in ((2, 5), (8, 9), (10, 13)))
-    return _axes(x[2] - x[5], shoulders - waist), _axes(x[10] - x[13], waist - hips), hips, shoulders
+    return _orthogonalise(x[2] - x[5], shoulders - waist), _orthogonalise(x[10] - x[13], waist - hips), hips, shoulders
 
 
 def frames(x: Float[Array, "16 3"]) -> Frames:
-    """The torso's frames: limits of shoulders hold in the upper one, of hips in the lower one."""
-    upper, lower, hips, shoulders = _torso(vectors(x))
+    """The torso's frames: shoulders are limited in the upper frame, hips in the lower one."""
+    upper, lower, hips, shoulders = _find_torso(vectors(x))
     rows = lambda axes: jnp.stack([axis.v for axis in axes])  # noqa: E731
     return Frames(rows(upper), rows(lower), hips.v, shoulders.v)
 
@@ -97,30 +96,30 @@ def verlet(
     x: Float[Array, "16 3"], before: Float[Array, "16 3"], acceleration: Float[Array, "16 3"], dt: Float[Array, ""],
     damping: Float[Array, ""] | float = 0.0,
 ) -> Float[Array, "16 3"]:  # fmt: skip
-    """Positions one step of `dt` seconds later (Verlet 1967); `damping` takes this share of the velocity away."""
+    """Positions one step of `dt` seconds later (Verlet 1967), metres; `damping` share of the velocity that is lost."""
     return x + (1 - damping) * (x - before) + acceleration * dt**2
 
 
 def inverse_masses(masses: Float[Array, " 16"]) -> Float[Array, " 16"]:
-    """1/m, 0 for what cannot be moved."""
+    """Inverse masses, 0 for fixed points."""
     return jnp.where(jnp.isinf(masses), 0.0, 1 / jnp.where(jnp.isinf(masses), 1.0, masses))
 
 
 class _Pulls(NamedTuple):
-    """Of each group of springs, what happens to each point: it belongs to one of the group's springs or to none."""
+    """For each group of springs and each point, the spring of the group at this point, if there is one."""
 
     rest: Float[Array, "group 16"]  # metres
-    share: Float[Array, "group 16"]  # of the spring's error that the point takes; 0: it belongs to none
+    share: Float[Array, "group 16"]  # share of the spring's error that the point corrects; 0: no spring
 
 
-def _pulls(body: FlexibleBody, inverse: Float[Array, " 16"]) -> _Pulls:
+def _prepare_springs(body: FlexibleBody, inverse: Float[Array, " 16"]) -> _Pulls:
     spring, partner = COLOURING.spring, COLOURING.partner
     both = jnp.maximum(inverse + inverse[partner], 1e-6)
     share = jnp.where(partner == np.arange(16), 0.0, body.stiffness[spring] * inverse / both)
     return _Pulls(body.lengths[spring], share)
 
 
-def _sprung(x: Vector, pulls: _Pulls) -> Vector:
+def _relax_springs(x: Vector, pulls: _Pulls) -> Vector:
     """One Gauss-Seidel sweep over the springs, group by group."""
     for group, partner in enumerate(COLOURING.partner):
         d = x[partner] - x
@@ -130,11 +129,11 @@ def _sprung(x: Vector, pulls: _Pulls) -> Vector:
 
 
 class LimbSpace(NamedTuple):
-    """What the limits of limbs refer to. All but the limbs themselves stays where it is. Axis of each: limb."""
+    """The fixed surroundings of limbs, to which their limits refer. Last axis: limb."""
 
     forward: Vector  # of the limb's part of the torso
-    limits: tuple[Vector, ...]  # directions against which the first bone's
-    least: Float[Array, "limit limb"]  # cosines are at least these
+    limits: tuple[Vector, ...]  # directions that limit the first bone
+    least: Float[Array, "limit limb"]  # least cosines of the first bone with them
     bones: Float[Array, "2 limb"]  # lengths, metres
     is_arm: Float[Array, " limb"]  # 1 or 0
     middle: Vector  # of the hips, metres
@@ -142,15 +141,15 @@ class LimbSpace(NamedTuple):
     trunk: _Axes  # of the whole torso
     size: Float[Array, "3 limb"]  # half depth, half width and height of the torso, metres
     apart: Float[Array, " limb"]  # least distance of knee and ankle from the plane between the legs, metres
-    anchors: Vector  # points that springs join to the limb's root; axes anchor (5), limb
+    anchors: Vector  # points that springs connect to the limb's root; axes anchor (5), limb
     anchor_lengths: Float[Array, "5 limb"]  # metres
     anchor_stiffness: Float[Array, "5 limb"]  # 0: no such spring
-    up: Vector  # normal of the floor: nothing of a limb is below
+    up: Vector  # normal of the floor, the lower limit of limbs
     floor: Float[Array, " limb"]  # its offset, metres
-    over: Float[Array, " limb"]  # so high above it are the points at least, metres
+    over: Float[Array, " limb"]  # least height of the points above the floor, metres
 
 
-def _anchor_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _list_anchors() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     points, springs, used = np.zeros((4, 5), np.int32), np.zeros((4, 5), np.int32), np.zeros((4, 5), np.float32)
     for limb, (root, middle, _) in enumerate(LIMBS):
         mine = [(n, s) for n, s in enumerate(SPRINGS) if root in s[:2] and middle not in s[:2]]
@@ -160,25 +159,25 @@ def _anchor_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return points, springs, used
 
 
-_ANCHOR_POINTS, _ANCHOR_SPRINGS, _ANCHOR_USED = _anchor_tables()
+_ANCHOR_POINTS, _ANCHOR_SPRINGS, _ANCHOR_USED = _list_anchors()
 
 
 def limb_spaces(
     body: FlexibleBody, x: Vector, apart: Float[Array, ""] | float, floor: Float[Array, "4"] | None
 ) -> LimbSpace:
-    """Of the four limbs, as the rest of the body stands now; leading axis: limb.
+    """The surroundings of the four limbs in the body's present pose; last axis: limb.
 
     **Arguments:** `apart` least distance of knees and ankles from the plane between the legs, a share of the stature;
-    `floor` normal and offset, metres; None: there is none.
+    `floor` normal and offset, metres; None: no floor.
     """
-    upper, lower, middle, top = _torso(x)
+    upper, lower, middle, top = _find_torso(x)
     arm, side = jnp.asarray(IS_ARM), jnp.asarray(SIDE, x.v.dtype)
     forward, outward, up = (a.where(arm, b) for a, b in zip(upper, lower))
     outward = outward * side
     rows = np.swapaxes(_LIMITS, 0, 1)
     limits = tuple(forward * row[:, 0] + outward * row[:, 1] + up * row[:, 2] for row in rows)
     line = top - middle
-    trunk = _axes(upper.left + lower.left, line)
+    trunk = _orthogonalise(upper.left + lower.left, line)
     size = jnp.stack([0.9 * body.torso[0], 0.085 * body.stature, line.length()])
     ground = jnp.asarray(NO_FLOOR) if floor is None else floor
     each = lambda v: jax.tree.map(lambda a: jnp.broadcast_to(a[..., None], (*a.shape, 4)), v)  # noqa: E731
@@ -190,11 +189,11 @@ def limb_spaces(
     )  # fmt: skip
 
 
-Limb = tuple[Vector, Vector, Vector]  # of many limbs at once; last axis: limb
+Limb = tuple[Vector, Vector, Vector]  # root, middle, end; last axis: limb
 
 
 def limb_bones(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace) -> Limb:
-    """Springs of limbs alone: their two bones, and those that hold their roots to the rest, which does not move."""
+    """Relaxes the springs of limbs alone: two bones, and the springs from their roots to the fixed surroundings."""
     d = p[0] - space.anchors
     now = d.length()
     pull = space.anchor_stiffness * (now - space.anchor_lengths) / now
@@ -203,23 +202,23 @@ def limb_bones(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace) -> L
     root, middle, end = p
     root = root - whole * (jnp.where(inverse[0] > 0, 1.0, 0.0) / stiff)
     d = middle - root
-    move = d * _share(d, space.bones[0], inverse[0] + inverse[1])
+    move = d * _correction(d, space.bones[0], inverse[0] + inverse[1])
     root, middle = root + move * inverse[0], middle - move * inverse[1]
     d = end - middle
-    move = d * _share(d, space.bones[1], inverse[1] + inverse[2])
+    move = d * _correction(d, space.bones[1], inverse[1] + inverse[2])
     return root, middle + move * inverse[1], end - move * inverse[2]
 
 
-def _share(d: Vector, rest: Array, weight: Array) -> Array:
+def _correction(d: Vector, rest: Array, weight: Array) -> Array:
     now = d.length()
     return (now - rest) / now / jnp.maximum(weight, 1e-6)
 
 
 def limb_limits(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace) -> Limb:
-    """Projects limbs to where their limits and collisions allow them to be: points of inverse mass 0 stay."""
+    """Projects limbs onto their limits and out of collisions; points of inverse mass 0 stay."""
     root, middle, end = p
     free = jnp.where(inverse > 0, 1.0, 0.0)
-    # the first bone's direction
+    # limits of the first bone's direction
     d = middle - root
     now = d.length()
     over = [jnp.maximum(least * now - n.dot(d), 0.0) for n, least in zip(space.limits, space.least)]
@@ -233,22 +232,22 @@ def limb_limits(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace) -> 
     end = end + d * (free[2] / now * jnp.maximum(least - now, 0.0))
     # knees bend forward
     line, own = end - root, middle - root
-    at = jnp.clip(own.dot(line) / (line.dot(line) + 3 * _TINY), 0.0, 1.0)
+    at = jnp.clip(own.dot(line) / (line.dot(line) + 3 * TINY), 0.0, 1.0)
     behind = -(own - line * at).dot(space.forward) - _KNEE_BACK
     back = space.forward * ((1 - space.is_arm) * jnp.maximum(behind, 0.0))
     middle, end = middle + back * free[1], end - back * (0.5 * free[2])
-    middle, end = _apart(middle, free[1], space), _apart(end, free[2], space)
+    middle, end = _push_out(middle, free[1], space), _push_out(end, free[2], space)
     out = [p + space.up * (f * jnp.maximum(space.over - (p.dot(space.up) - space.floor), 0.0))
            for p, f in zip((root, middle, end), free)]  # fmt: skip
     return out[0], out[1], out[2]
 
 
-def _apart(p: Vector, free: Float[Array, " #limb"], space: LimbSpace) -> Vector:
-    """Elbows and wrists out of the torso (an anisotropically scaled cylinder), knees and ankles on their own side."""
+def _push_out(p: Vector, free: Float[Array, " #limb"], space: LimbSpace) -> Vector:
+    """Moves elbows and wrists out of the torso (an elliptic cylinder), knees and ankles to their own side."""
     local = p - space.middle
     deep, wide, high = (local.dot(v) for v in space.trunk)
     deep, wide = deep / space.size[0], wide / space.size[1]
-    r = jnp.sqrt(deep**2 + wide**2 + _TINY)
+    r = jnp.sqrt(deep**2 + wide**2 + TINY)
     inside = (r < 1) & (high > 0) & (high < space.size[2])
     out = jnp.where(inside, space.is_arm * (1 / jnp.maximum(r, 0.05) - 1), 0.0)
     push = space.trunk.forward * (deep * out * space.size[0]) + space.trunk.left * (wide * out * space.size[1])
@@ -256,21 +255,21 @@ def _apart(p: Vector, free: Float[Array, " #limb"], space: LimbSpace) -> Vector:
     return p + (push + space.outward * across) * free
 
 
-def _put(x: Vector, rows: np.ndarray, new: Vector) -> Vector:
-    """With points at these numbers replaced: as a choice, for XLA writes few numbers slowly."""
+def _replace_points(x: Vector, rows: np.ndarray, new: Vector) -> Vector:
+    """The points with some rows replaced; by a gather, since XLA is slow at writing few numbers."""
     order = np.arange(16, dtype=np.int32)
     order[rows.ravel()] = 16 + np.arange(rows.size)
     return Vector(jnp.concatenate([x.v, new.v.reshape(3, -1)], 1)[:, order])
 
 
-def _span(x: Vector) -> Vector:
+def _span_trunk(x: Vector) -> Vector:
     return x[NECK] - (x[LOWER[2]] + x[LOWER[3]]) * 0.5
 
 
 def stiff_trunk(x: Vector, inverse: Float[Array, " 16"], least: Float[Array, ""]) -> Vector:
-    """Neck and hips moved apart as far as a bowed spine holds them: the flat torso's springs alone let it fold at the
-    waist (the paper's waist is relatively stiff, sec. IV-B)."""
-    d = _span(x)
+    """Moves neck and hips apart to at least `least`, metres, as a bowed spine does: the springs alone let the flat
+    torso fold at the waist (the paper's waist is relatively stiff, sec. IV-B)."""
+    d = _span_trunk(x)
     now = d.length()
     own, others = inverse[NECK], (inverse[LOWER[2]] + inverse[LOWER[3]]) / 2
     size = jnp.maximum(least - now, 0.0) / now / jnp.maximum(own + others, 1e-6)
@@ -281,18 +280,18 @@ def stiff_trunk(x: Vector, inverse: Float[Array, " 16"], least: Float[Array, ""]
 
 
 def separate_legs(x: Vector, inverse: Float[Array, " 16"], near: Float[Array, "2"]) -> Vector:
-    """Knees and ankles moved apart, along the hips' line, to where two legs have room: else a leg that another one
-    hides is drawn into it. Legs one before the other may cross."""
+    """Moves knees and ankles apart along the hips' line, to at least `near`, metres: otherwise a hidden leg is drawn
+    into the leg in front of it. Legs may cross one in front of the other."""
     left, right = np.array(LIMBS[2][1:]), np.array(LIMBS[3][1:])
     d, outward = x[left] - x[right], (x[LIMBS[2][0]] - x[LIMBS[3][0]]).unit()
     along = d.dot(outward)
     across = d - outward * along
     room = near**2 - across.dot(across)
-    short = jnp.where(room > 0, jnp.maximum(jnp.sqrt(jnp.maximum(room, _TINY)) - along, 0.0), 0.0)
+    short = jnp.where(room > 0, jnp.maximum(jnp.sqrt(jnp.maximum(room, TINY)) - along, 0.0), 0.0)
     one, other = inverse[left], inverse[right]
     move = outward * (short / jnp.maximum(one + other, 1e-6))
     first, second = x[left] + move * one, x[right] - move * other
-    return _put(x, np.stack([left, right]), first.stack(second))
+    return _replace_points(x, np.stack([left, right]), first.stack(second))
 
 
 # 7 parameters: the body, its state and what acts on it, traced each
@@ -300,23 +299,23 @@ def relax(
     body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], iterations: int | Int[Array, ""],
     apart: Float[Array, ""] | float = 0.0, limits: bool = True, floor: Float[Array, "4"] | None = None,
 ) -> Float[Array, "16 3"]:  # fmt: skip
-    """Applies all springs and limits in turn, so many times (like Gauss-Seidel; sec. II).
+    """Applies all springs and limits in turn, `iterations` times (like Gauss-Seidel; sec. II). Metres.
 
-    **Arguments:** `masses` relative, infinite for what stays; `apart` see limb_spaces; `limits` False: springs only;
-        `floor` see limb_spaces.
+    **Arguments:** `masses` relative, infinite for fixed points; `apart` and `floor` see limb_spaces; `limits` False:
+        springs only.
     """
     inverse = inverse_masses(masses)
-    pulls, least = _pulls(body, inverse), _BOWED * _span(vectors(body.rest)).length()
+    pulls, least = _prepare_springs(body, inverse), _BOWED * _span_trunk(vectors(body.rest)).length()
     near = jnp.asarray(LEGS_NEAR) * body.stature
     rows = np.ascontiguousarray(LIMBS.T)  # roots, middles, ends
 
     def sweep(_, x):
-        x = _sprung(x, pulls)
+        x = _relax_springs(x, pulls)
         if not limits:
             return x
         x = separate_legs(stiff_trunk(x, inverse, least), inverse, near)
         moved = limb_limits((x[rows[0]], x[rows[1]], x[rows[2]]), inverse[rows], limb_spaces(body, x, apart, floor))
-        return _put(x, rows, moved[0].stack(*moved[1:]))
+        return _replace_points(x, rows, moved[0].stack(*moved[1:]))
 
     if isinstance(iterations, int) and not iterations:
         return x
@@ -324,7 +323,7 @@ def relax(
 
 
 def project_limb(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace, iterations: int) -> Limb:
-    """Particles moved to where the active constraints let a limb be, all other points fixed (sec. III-A). `space` of
-    one limb, broadcast to them."""
+    """Projects particles onto the active constraints of a limb, with all other points fixed (sec. III-A). `space` of
+    one limb, broadcast to the particles."""
     step = lambda _, p: limb_limits(limb_bones(p, inverse, space), inverse, space)  # noqa: E731
     return limb_bones(lax.fori_loop(0, iterations, step, p), inverse, space)

@@ -1,4 +1,4 @@
-"""From the flexible body's points to what tracks hold: joint centres and poses of a body's limbs. Host side."""
+"""Converts the flexible body's points to joint centres and limb poses of tracks. Host side."""
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.model.body import Body, joint_centres, without_side
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
 
-# from a point to the joint centre of its name in the torso's directions (forward, left for the left side, up), and
-# towards the camera, for bodies are that much thicker or thinner than cylinders: shares of stature, measured on half of
-# the rendered stereo recordings (experiments/flexible)
+# offset from a point to the joint centre of its name, in the torso's directions (forward, left for the left side, up)
+# and towards the camera, since bodies are thicker or thinner than cylinders: shares of stature, measured on half of the
+# rendered stereo recordings (experiments/flexible)
 OFFSETS: dict[str, tuple[float, float, float, float]] = {
     "head": (0.001, -0.001, 0.013, 0.009),
     "neck": (-0.005, -0.001, 0.020, 0.008),
@@ -23,7 +23,7 @@ OFFSETS: dict[str, tuple[float, float, float, float]] = {
 
 
 def directions(x: Float[np.ndarray, "frame 16 3"], upper: bool) -> Float[np.ndarray, "frame 3 3"]:
-    """Forward, left and up of the upper or lower torso, rows."""
+    """Directions of the upper or lower torso; rows: forward, left, up."""
     i = {name: n for n, name in enumerate(POINTS)}
     waist = (x[:, i["l_waist"]] + x[:, i["r_waist"]]) / 2
     a, b = (x[:, i[f"{side}_shoulder" if upper else f"{side}_hip"]] for side in "lr")
@@ -38,7 +38,7 @@ def directions(x: Float[np.ndarray, "frame 16 3"], upper: bool) -> Float[np.ndar
 def centres_of(
     body: Body, x: Float[np.ndarray, "frame 16 3"], stature: float, camera: Float[np.ndarray, "frame 3"]
 ) -> Float32[np.ndarray, "frame centre 3"]:
-    """Joint centres `body.topology.centres`, metres; NaN for those that no point stands for. `camera`: its centre."""
+    """Joint centres `body.topology.centres`, metres; NaN without such a point. `camera` its position, metres."""
     frame = {True: directions(x, True), False: directions(x, False)}
     named = {centre: name for name, centre in CENTRES.items()}
     out = np.full((len(x), len(body.topology.centres), 3), np.nan)
@@ -60,8 +60,8 @@ def limb_poses(
 ) -> tuple[Float32[np.ndarray, "frame limb 4"], Float32[np.ndarray, "frame limb 3"]]:
     """T_fixed_limb of a person's body (scaled to the stature): rotations wxyz and translations, metres.
 
-    The torso's parts turn as its points do; each other limb is the torso's turn and then the shortest one to its axis.
-    A limb's turn about its own axis is not known to the flexible body. NaN for limbs that hang on no known joint.
+    The torso's parts turn with its points; each other limb turns with the torso, then by the shortest rotation to its
+    axis. The flexible body does not know a limb's rotation about its own axis. NaN for limbs without a known joint.
     """
     frames, t = len(x), body.topology
     upper, lower = (np.swapaxes(directions(x, which), 1, 2) for which in (True, False))  # columns
@@ -71,7 +71,7 @@ def limb_poses(
     own = Rotation.from_quat(np.asarray(body.rest.rotation, float)[:, [1, 2, 3, 0]])
     place = np.asarray(body.rest.translation, float)
     rotation, translation = np.full((frames, len(t.limbs), 4), np.nan), np.full((frames, len(t.limbs), 3), np.nan)
-    spans = _spans()
+    spans = _list_spans()
     for limb, name in enumerate(t.limbs):
         if name not in spans:
             continue
@@ -79,7 +79,7 @@ def limb_poses(
         base = upper if base == "upper" else lower
         turn = base
         if end is not None:
-            turn = _shortest(np.einsum("fij,j->fi", base, at[end] - at[start]), now[end] - now[start]) @ base
+            turn = _rotate_shortest(np.einsum("fij,j->fi", base, at[end] - at[start]), now[end] - now[start]) @ base
         known = [start, end] if middle and end is not None else [start]
         anchor = np.mean([at[n] for n in known], 0)
         centre = np.mean([now[n] for n in known], 0)
@@ -89,9 +89,9 @@ def limb_poses(
     return rotation.astype(np.float32), translation.astype(np.float32)
 
 
-def _spans() -> dict[str, tuple[str, str | None, str, bool]]:
-    """Limb -> the point that holds it, the point it reaches to (None: turns with the torso), which part of the torso
-    it starts from, and whether both hold it."""
+def _list_spans() -> dict[str, tuple[str, str | None, str, bool]]:
+    """Limb -> its root point, its end point (None: it turns with the torso), its part of the torso, and whether both
+    points place it."""
     out: dict[str, tuple[str, str | None, str, bool]] = {
         "pelvis": ("l_hip", None, "lower", False),
         "chest": ("neck", None, "upper", False),
@@ -103,13 +103,15 @@ def _spans() -> dict[str, tuple[str, str | None, str, bool]]:
         out[f"{side}_forearm"] = f"{side}_elbow", f"{side}_wrist", "upper", True
         out[f"{side}_thigh"] = f"{side}_hip", f"{side}_knee", "lower", True
         out[f"{side}_shank"] = f"{side}_knee", f"{side}_ankle", "lower", True
-        out[f"{side}_hand"] = f"{side}_wrist", f"{side}_elbow", "upper", False  # goes on from the forearm
+        out[f"{side}_hand"] = f"{side}_wrist", f"{side}_elbow", "upper", False  # continues the forearm
         out[f"{side}_foot"] = f"{side}_ankle", None, "lower", False
     return out
 
 
-def _shortest(a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 3 3"]:
-    """The shortest turn from one direction to another."""
+def _rotate_shortest(
+    a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"]
+) -> Float[np.ndarray, "frame 3 3"]:
+    """The shortest rotations from directions to others."""
     a = a / np.maximum(np.linalg.norm(a, axis=1, keepdims=True), 1e-9)
     b = b / np.maximum(np.linalg.norm(b, axis=1, keepdims=True), 1e-9)
     axis = np.cross(a, b)

@@ -1,4 +1,4 @@
-"""How well a limb fits an image: edge and surface scores, points, occlusion (Hecht et al. 2009, sec. III-B)."""
+"""Scores of limbs in an image: edges, surface, points, occlusion (Hecht et al. 2009, sec. III-B)."""
 
 from functools import partial, reduce
 from typing import Any, NamedTuple
@@ -15,32 +15,32 @@ from voodoo_jax.trackers.flexible.image_features import COARSE
 from voodoo_jax.trackers.flexible.physics import Frames, Limb
 from voodoo_jax.trackers.flexible.vectors import Vector, kept, turned, vectors
 
-RINGS = 10  # reference colours along a cylinder, by the paper
-ALONG, ACROSS = 6, 3  # samples of a cylinder's surface: set by hand, the study's
-# metres: what is so much farther than a surface ought to be is not it; cylinders are no people. Measured: 0.08 and 0.18
-# are alike
+RINGS = 10  # reference colours along a cylinder, from the paper
+ALONG, ACROSS = 6, 3  # samples of a cylinder's surface: set by hand
+# metres: depth within this distance of a cylinder belongs to its surface, since people are not cylinders. Measured:
+# 0.08 and 0.18 give the same
 _BEHIND = 0.12
 _HAND_SAMPLES = 5  # along a hand, by hand
-_HIDDEN_SKIN = 0.3  # score of a sample of a hand that is not seen; measured: 0.2 and 0.45 are alike
-_NEVER = 1e6  # metres, nothing is so far: any gives the same that is more than rooms have
+_HIDDEN_SKIN = 0.3  # score of a hidden sample of a hand; measured: 0.2 and 0.45 give the same
+_NEVER = 1e6  # metres, farther than everything: any gives the same beyond the size of rooms
 
 
 class View(NamedTuple):
-    """Features of one frame as a program takes them; see image_features.Features."""
+    """Features of one frame as input of a program; see image_features.Features."""
 
-    pixels: UInt32[Any, "row column"]  # bytes, lowest first: blue, green, red, edge: looked up at once
+    pixels: UInt32[Any, "row column"]  # bytes, lowest first: blue, green, red, edge: one lookup
     motion: UInt8[Any, "coarse_row coarse_column"]
     depth: Float[Any, "row column"]
     focal: Float[Any, "4"]
     turn: Float[Any, "3 3"]
     shift: Float[Any, "3"]
-    skin: UInt8[Any, "row column"]  # 255: surely, if it is the person's
-    there: Float[Any, ""] = np.float32(1)  # 0: this camera has no image now
-    more: "tuple[View, ...]" = ()  # what further cameras see; motion is of the first one
+    skin: UInt8[Any, "row column"]  # 255: certain, if it belongs to the person
+    there: Float[Any, ""] = np.float32(1)  # 0: this camera has no image in this frame
+    more: "tuple[View, ...]" = ()  # views of further cameras; motion comes from the first one
 
 
 class Weighing(NamedTuple):
-    """What the scores weigh in the logarithm of a particle's weight, and what hidden samples score. Traced."""
+    """Weights of the scores in the logarithm of a particle's weight, and scores of hidden samples. Traced."""
 
     edge: Float[Array, ""]
     surface: Float[Array, ""]
@@ -50,9 +50,9 @@ class Weighing(NamedTuple):
     hidden_edge: Float[Array, ""]
     hidden_surface: Float[Array, ""]
     colour_scale: Float[Array, ""]  # share of full brightness, summed over channels
-    seen_length: Float[Array, ""]  # 1: scores weigh by the length of limb that is seen; 0: means, as in the paper
-    unseen: Float[Array, ""]  # what length that is not seen scores then, share of what hidden samples score
-    cap: Float[Array, ""]  # metres: farther points tell no more
+    seen_length: Float[Array, ""]  # 1: scores are weighted by the visible length of the limb; 0: means, as in the paper
+    unseen: Float[Array, ""]  # score of hidden length, as a share of the score of hidden samples
+    cap: Float[Array, ""]  # metres: distances of points are capped here
 
 
 class Place(NamedTuple):
@@ -64,17 +64,17 @@ class Place(NamedTuple):
 
 
 def project(view: View, p: Vector) -> Place:
-    """Where points in the fixed frame are in the image."""
-    return _seen_at(view, turned(view.turn, p) + Vector(view.shift))
+    """Projects points in the fixed frame into the image."""
+    return _project_camera(view, turned(view.turn, p) + Vector(view.shift))
 
 
-def _seen_at(view: View, q: Vector) -> Place:
+def _project_camera(view: View, q: Vector) -> Place:
     z = jnp.maximum(q.z, 0.1)
     return Place(q.x / z * view.focal[0] + view.focal[2], q.y / z * view.focal[1] + view.focal[3], z)
 
 
 def read(image: Any, at: Place, shrunk: int = 1) -> tuple[Array, Bool[Array, "*n"]]:
-    """The nearest pixels of an image that is so many times smaller than the features, and whether they are inside."""
+    """The nearest pixels of an image that is `shrunk` times smaller than the features, and whether they are inside."""
     rows, columns = image.shape[:2]
     u, v = ((n - (shrunk - 1) / 2) / shrunk for n in at[:2])
     u, v = jnp.round(u).astype(jnp.int32), jnp.round(v).astype(jnp.int32)
@@ -90,9 +90,9 @@ def channels(pixels: UInt32[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
 
 
 def occlusion(body: FlexibleBody, x: Float[Array, "16 3"], view: View) -> Float[Array, "4 row column"]:
-    """For each limb, on a coarse grid, how near the other parts of the body are (metres; far where there is none).
+    """For each limb, on a coarse grid, the depth of the nearest other part of the body, metres; _NEVER without one.
 
-    The parts are convex quadrilaterals: projected cylinders and torso patches, each with its least depth along it.
+    Parts are convex quadrilaterals: projected cylinders and torso patches, each with its least depth.
     """
     cylinders = body_segments(body, vectors(x))
     shown = np.array([0, 1, 3, 4, 6, 7, 9, 10, 12])  # without hands and feet
@@ -110,17 +110,17 @@ def occlusion(body: FlexibleBody, x: Float[Array, "16 3"], view: View) -> Float[
     near = jnp.concatenate([near, corner.z.min(-1) - body.torso[1]])
     rows, columns = view.depth.shape[0] // COARSE, view.depth.shape[1] // COARSE
     v, u = ((np.arange(n, dtype=np.float32) + 0.5) * COARSE - 0.5 for n in (rows, columns))
-    # on which side of an edge a pixel is: by_u u + by_v v + constant, as a cross product
+    # the side of an edge that a pixel is on: by_u u + by_v v + constant, a cross product
     by_u, by_v = quad_v - jnp.roll(quad_v, -1, 1), jnp.roll(quad_u, -1, 1) - quad_u
     constant = -(by_u * quad_u + by_v * quad_v)
     level = by_v[..., None] * v + constant[..., None]  # [part, edge, row]
-    inside = partial(_inside, u)
+    inside = partial(_fill_quadrilateral, u)
     depth = lax.map(lambda part: jnp.where(inside(*part[:2]), part[2], _NEVER), (level, by_u, near))
-    own = np.arange(4)[:, None] == np.arange(len(near)) // 2  # the last parts, head and torso, are of no limb
+    own = np.arange(4)[:, None] == np.arange(len(near)) // 2  # the last parts, head and torso, belong to no limb
     return jnp.min(jnp.where(own[..., None, None], _NEVER, depth), 1)
 
 
-def _inside(
+def _fill_quadrilateral(
     u: Float[Any, " column"], level: Float[Array, "4 row"], by_u: Float[Array, "4"]
 ) -> Bool[Array, "row column"]:
     side = [level[k][:, None] + by_u[k] * u for k in range(4)]
@@ -129,16 +129,16 @@ def _inside(
 
 
 class Samples(NamedTuple):
-    """Places on the projected cylinders of limbs. Axes: cylinder (2), along, across (or the two borders), and those of
+    """Samples on the projected cylinders of limbs. Axes: cylinder (2), along, across (or the two borders), and those of
     the limbs."""
 
-    surface: Place  # its z: depth of the surface
+    surface: Place  # z: depth of the surface
     border: Place
-    seen: Float[Array, "2 *n"]  # length that is seen, share of the cylinder's whole length
+    seen: Float[Array, "2 *n"]  # visible length, share of the cylinder's length
 
 
 def samples(view: View, segments: tuple[Segment, Segment, Segment]) -> Samples:
-    """The regular grid on the simplified projection of limbs' first two cylinders."""
+    """A regular grid on the simplified projections of limbs' first two cylinders."""
     first, second, _ = segments
     begin, end = jnp.stack([first.begin, second.begin]), jnp.stack([first.end, second.end])
     a, b = (turned(view.turn, v) + Vector(view.shift) for v in (first.a.stack(second.a), first.b.stack(second.b)))
@@ -146,7 +146,7 @@ def samples(view: View, segments: tuple[Segment, Segment, Segment]) -> Samples:
     more = lambda n: np.reshape(n, (-1, *[1] * (a.ndim - 1)))  # noqa: E731
     begin, end = (r.reshape(*r.shape, *[1] * (a.ndim - r.ndim)) for r in (begin, end))
     t = more((np.arange(ALONG, dtype=np.float32) + 0.5) / ALONG)
-    at = _seen_at(view, a[:, None] + d[:, None] * t)
+    at = _project_camera(view, a[:, None] + d[:, None] * t)
     radius = begin[:, None] + t * (end - begin)[:, None]
     line_u, line_v = at.u[:, -1] - at.u[:, 0], at.v[:, -1] - at.v[:, 0]
     along = jnp.sqrt(line_u**2 + line_v**2 + 1e-6)
@@ -164,25 +164,25 @@ def samples(view: View, segments: tuple[Segment, Segment, Segment]) -> Samples:
 
 
 class LimbContext(NamedTuple):
-    """What the weights of one limb's particles refer to; leading axis limb in filters."""
+    """Inputs of the weights of one limb's particles; leading axis limb in filters."""
 
     hidden: Float[Array, "row column"]  # see occlusion
     colours: Float[Array, "2 ring 3"]  # reference, 0..1
-    learnt: Float[Array, "2 ring"]  # how many frames' worth; 0: no reference
+    learnt: Float[Array, "2 ring"]  # number of frames averaged; 0: no reference
     points: Float[Array, "point 3"]
     others: Float[Array, "point"]  # distance of each point to the other parts, metres
-    share: Float[Array, "point"]  # what each point weighs; 0: none
-    beyond: Float[Array, "2"]  # of points that are left out: sum of their shares, and of these times their cost
-    forward: Float[Array, "3"]  # of the lower torso
+    share: Float[Array, "point"]  # weight of each point; 0: none
+    beyond: Float[Array, "2"]  # of omitted points: sum of the shares, and sum of shares times costs
+    forward: Float[Array, "3"]  # direction of the lower torso
     is_arm: Float[Array, ""]
     radii: Float[Array, "3 2"]
     tip: Float[Array, ""]
-    head: Float[Array, "4"]  # the head point, and how near to it skin may be the face's, metres
+    head: Float[Array, "4"]  # the head point, and the radius around it in which skin may belong to the face, metres
     more: tuple[Float[Array, "row column"], ...] = ()  # `hidden` in the views of further cameras
 
 
 class Score(NamedTuple):
-    """Parts of a particle's weight, 0..1 each; `points` mean squared distance over the cap squared, less is better;
+    """Parts of a particle's weight, 0..1 each; `points` mean squared distance over the squared cap, less is better;
     `skin` of hands, 0 for feet."""
 
     edge: Float[Array, "*n"]
@@ -193,7 +193,7 @@ class Score(NamedTuple):
 
 
 def expected(colours: Float[Array, "2 ring 3"]) -> Float[Array, "2 along 3"]:
-    """Reference colours at the samples, linearly between rings."""
+    """Reference colours at the samples, interpolated linearly between rings."""
     t = (jnp.arange(ALONG) + 0.5) / ALONG * RINGS - 0.5
     low = jnp.clip(jnp.floor(t).astype(int), 0, RINGS - 2)
     share = jnp.clip(t - low, 0, 1)[:, None]
@@ -201,7 +201,7 @@ def expected(colours: Float[Array, "2 ring 3"]) -> Float[Array, "2 along 3"]:
 
 
 def limb_score(p: Limb, context: LimbContext, view: View, w: Weighing) -> Score:
-    """How well the points of many particles of one limb fit what is seen."""
+    """Scores of many particles of one limb in the images and by the measured points."""
     there = view.focal[0] > 0
     return kept(there, lambda p, context: _limb_score(p, context, view, w), p, context)
 
@@ -211,12 +211,12 @@ def _limb_score(p: Limb, context: LimbContext, view: View, w: Weighing) -> Score
     seen = _image_score(segments, context, context.hidden, view, w)
     if view.more:
         each = [_image_score(segments, context, *other, w) for other in zip(context.more, view.more)]
-        seen = jax.tree.map(lambda *parts: _mean(parts, (view, *view.more)), seen, *each)
+        seen = jax.tree.map(lambda *parts: _average_views(parts, (view, *view.more)), seen, *each)
     return seen._replace(points=_points_score(segments, context, w))
 
 
-def _mean(parts: tuple[Array, ...], views: tuple[View, ...]) -> Array:
-    """Of what several cameras say, those that have an image."""
+def _average_views(parts: tuple[Array, ...], views: tuple[View, ...]) -> Array:
+    """Mean over the cameras that have an image."""
     total = sum((part * view.there for part, view in zip(parts[1:], views[1:])), parts[0] * views[0].there)
     return total / jnp.maximum(sum(view.there for view in views), 1e-6)
 
@@ -224,7 +224,7 @@ def _mean(parts: tuple[Array, ...], views: tuple[View, ...]) -> Array:
 def _image_score(
     segments: tuple[Segment, Segment, Segment], context: LimbContext, hidden: Array, view: View, w: Weighing
 ) -> Score:
-    """What one camera's image says, without points."""
+    """Scores in one camera's image, without points."""
     at, there = samples(view, segments), view.focal[0] > 0
     surface, solid = kept(there, lambda at: _surface_scores(at, context, hidden, view, w), at.surface)
     pixels, inside = read(view.pixels, at.border)
@@ -241,8 +241,8 @@ def _image_score(
 def _surface_scores(
     at: Place, context: LimbContext, hidden: Array, view: View, w: Weighing
 ) -> tuple[Float[Array, "2 particle"], Float[Array, "2 particle"]]:
-    """Of each cylinder: how much its colours are alike, and how much of it is where depth is measured."""
-    # a sample is hidden where another part of the body is nearer, or outside of the image
+    """For each cylinder: similarity of its colours to the reference, and share of it at the measured depth."""
+    # samples behind another part of the body, or outside of the image, are hidden
     nearest, _ = read(hidden, at, COARSE)
     behind = nearest < at.z - 0.02
     depth, inside = read(view.depth, at)
@@ -271,8 +271,8 @@ def _points_score(
 
 
 def worthwhile(context: LimbContext, count: int, w: Weighing) -> LimbContext:
-    """With only those points of which a limb can explain most: those that the rest of the body explains tell nothing
-    of where the limb is."""
+    """The context with only the `count` points that a limb can improve most: points explained by the rest of the body
+    carry no information about the limb."""
     if len(context.others) <= count:
         return context
     cost = context.share * (jnp.minimum(context.others, w.cap) / w.cap) ** 2
@@ -285,7 +285,7 @@ def worthwhile(context: LimbContext, count: int, w: Weighing) -> LimbContext:
 
 
 def _hand_score(s: Segment, context: LimbContext, hidden: Array, view: View) -> Float[Array, " particle"]:
-    """Share of skin on a hand as far as it is seen, and not before the face."""
+    """Share of skin on the visible samples of a hand that are not in front of the face."""
     t = (np.arange(_HAND_SAMPLES, dtype=np.float32) + 0.5)[:, None] / _HAND_SAMPLES
     hand = s.a[None] + (s.b - s.a)[None] * t
     at = project(view, hand)
@@ -293,9 +293,9 @@ def _hand_score(s: Segment, context: LimbContext, hidden: Array, view: View) -> 
     nearest, _ = read(hidden, at, COARSE)
     depth, inside = read(view.depth, at)
     seen = inside & (nearest >= z - 0.02) & ~((depth > 0) & (depth < z - _BEHIND))
-    away = (depth > 0) & (depth > z + _BEHIND)  # of the room behind
+    away = (depth > 0) & (depth > z + _BEHIND)  # the room behind
     skin = jnp.where(away, 0.0, read(view.skin, at)[0].astype(jnp.float32) / 255)
-    # else the face draws hands that are not seen
+    # otherwise the face attracts hidden hands
     seen &= (hand - vectors(context.head[:3])).length() > context.head[3]
     return jnp.where(seen, skin, _HIDDEN_SKIN).mean(0)
 
@@ -313,10 +313,10 @@ def learn(
     body: FlexibleBody, x: Float[Array, "16 3"], frames: Frames, view: View, hidden: Float[Array, "4 row column"],
     colours: Float[Array, "4 2 ring 3"], learnt: Float[Array, "4 2 ring"], rate: Float[Array, "4 2"],
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Reference colours with one more image: a running average over the pixels of each ring that are the person's.
+    """Updates the reference colours by one image: a running average over the person's pixels in each ring.
 
-    **Arguments:** `hidden` see occlusion; `rate` what the image counts on each cylinder, from the local confidence; 0:
-    nothing is learnt.
+    **Arguments:** `hidden` see occlusion; `rate` weight of the image on each cylinder, from the local confidence; 0:
+    no update.
     """
     arm = jnp.asarray(IS_ARM, x.dtype)
     points = [vectors(x[LIMBS[:, n]]) for n in range(3)]
@@ -327,7 +327,7 @@ def learn(
     good = inside & (nearest >= at.z - 0.02) & (depth > 0) & (jnp.abs(depth - at.z) < _BEHIND)
     colour = jnp.stack(channels(read(view.pixels, at)[0])[:3], -1)
     to_ring = np.zeros((ALONG, RINGS), np.float32)
-    # each ring takes from the nearest sample along the limb
+    # each ring reads the nearest sample along the limb
     to_ring[np.clip(np.round((np.arange(RINGS) + 0.5) / RINGS * ALONG - 0.5).astype(int), 0, ALONG - 1),
             np.arange(RINGS)] = 1  # fmt: skip
     count = jnp.einsum("sal,ar->lsr", good.sum(2).astype(jnp.float32), to_ring)
@@ -340,7 +340,7 @@ def learn(
 
 
 def systematic(offset: Float[Array, ""], weights: Float[Array, "n"]) -> Int[Array, " n"]:
-    """Systematic resampling. `offset` random, 0..1."""
+    """Indices by systematic resampling; `offset` random, 0..1."""
     n = len(weights)
     total = jnp.cumsum(weights)
     places = (jnp.arange(n) + offset) / n * total[-1]

@@ -1,4 +1,4 @@
-"""The flexible tracker on a whole recording: features, person's points, head, filters, tracks. Host side."""
+"""The flexible tracker on a whole recording: from features, points and head to filters and tracks. Host side."""
 
 import time
 from collections.abc import Iterable
@@ -41,21 +41,21 @@ from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, Sta
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 NOBODY = "Nobody was found."
-CHUNK = 16  # frames per run of the program, whose images fit into memory: any gives the same
-# share of the stature that a face is at most from the person's top: else it is a hand; measured: without, a punch is
-# 1 cm worse
+CHUNK = 16  # frames per run of the program, limited by the images' memory: any gives the same
+# greatest distance of a face from the person's highest points, share of stature: farther skin is a hand. Measured:
+# without it a punch is 1 cm worse
 _BELOW = 0.35
-# frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
-# a weight): by hand
+# frames over which both passes are compared, and least advantage of the second one (share of the points; logarithm of a
+# weight): by hand
 _STRETCH, _EXPLAINS_MORE, _SCORES_MORE = 2.0, 0.02, 2.0
-_AGREE = 0.15  # metres between passes up to which their mean is taken: on the study's half of stereo logs, measured
-_SMOOTH = 0.047  # seconds, standard deviation: measured on the same ones
+_AGREE = 0.15  # metres between passes up to which their mean is taken: measured on half of the stereo logs
+_SMOOTH = 0.047  # seconds, standard deviation: measured on the same logs
 _TRUNK = np.unique([*UPPER, *LOWER])
 _LIMB_OF = np.array([next((n for n, rows in enumerate(LIMBS) if p in rows), -1) for p in range(16)])
 
 
 def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
-    """What of the settings a program takes as numbers. The paper knows no floor: only where points are used."""
+    """The settings that a program takes as traced numbers. The floor is used only with points: the paper has none."""
     plane = NO_FLOOR if floor is None or not uses_dense(s) else (*floor.normal.tolist(), floor.offset)
     f = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
     weighing = Weighing(
@@ -72,16 +72,16 @@ def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
 
 
 def shape_of(s: FlexibleSettings) -> Shape:
-    """What of the settings a program is compiled for."""
+    """The settings that a program is compiled for."""
     points = s.points_weight > 0 or s.refine > 0
     return Shape(s.particles, s.layers, s.relaxations, s.refine, s.hypotheses, points)
 
 
 def check_suited(body: Body, settings: Settings) -> None:
-    """Raises Unsuitable, before anything long, for a body that is no person's and for one that changes."""
+    """Raises Unsuitable for a body without a person's joints and for one that changes, before long computations."""
     rest_points(body)
     if settings.changes:
-        raise Unsuitable("[[change]] in the settings: the flexible tracker knows none, use --tracker icp")
+        raise Unsuitable("[[change]] in the settings: the flexible tracker does not support it, use --tracker icp")
 
 
 def track_frames(
@@ -98,13 +98,13 @@ def track_frames(
 
 
 class Followed(NamedTuple):
-    """What was found of a recording, for those who look closer than tracks do."""
+    """Tracks of a recording, and the results that they are made from."""
 
     tracks: Tracks
-    found: Seen | None  # of frames with features, from number `first` on; None: nobody
+    found: Seen | None  # results in the rows from `first` on; None: no person was found
     first: int
     skin: SkinModel
-    seen: Observed  # with the camera first that sees the face
+    seen: Observed  # its first camera is the one that sees the face
 
 
 # 8 parameters: those of the program that it is
@@ -121,7 +121,7 @@ def followed(
     body: Body, seen: Observed, settings: Settings, source: str, fixed_frame: str, notes: tuple[str, ...] = (),
     progress: Progress | None = None, began: float | None = None,
 ) -> Followed:  # fmt: skip
-    """Tracks of what was observed, and what they were made of."""
+    """Tracks an observed recording; returns the tracks and the results that they are made from."""
     s, waited = settings.flexible, seconds_of_waiting()
     began = time.perf_counter() if began is None else began
     on = begun(body, seen, settings)
@@ -151,8 +151,8 @@ def followed(
 
 
 def started(seen: Observed, stature: float) -> tuple[Observed, SkinModel, int, Start | None]:
-    """The recording with that camera first which sees a face where the person is first seen, the colours of skin there,
-    the row, and what it says; None: nobody is found.
+    """Finds the start: the recording with the camera that sees a face in the person's first row as first camera, the
+    colours of skin, that row, and the start (None: no person was found).
 
     **Arguments:** `stature` metres, 0: measured.
     """
@@ -162,8 +162,8 @@ def started(seen: Observed, stature: float) -> tuple[Observed, SkinModel, int, S
         enough = (i for i, person in enumerate(view.people) if len(person.points) >= 3 * FEW_POINTS)
         if (first := next(enough, None)) is None:
             continue
-        # of this camera alone: where a head is follows from the side that it sees of it
-        points = _seen_by(view.people[first], view.features.place(first))
+        # this camera's points alone: the head's centre lies behind the side of it that the camera sees
+        points = _select_nearest_sensor(view.people[first], view.features.place(first))
         begin = find_start(view.features[first], points, view.scene.floor, skin, stature)
         found.append((view, skin, first, begin))
         if begin.face_seen:
@@ -171,25 +171,25 @@ def started(seen: Observed, stature: float) -> tuple[Observed, SkinModel, int, S
     return found[0] if found else (seen, SkinModel(), 0, None)
 
 
-def _seen_by(person: BodyObservation, camera: Float64[np.ndarray, "3"]) -> Float32[np.ndarray, "point 3"]:
-    """The points on a person that the sensor nearest to a camera measured."""
+def _select_nearest_sensor(person: BodyObservation, camera: Float64[np.ndarray, "3"]) -> Float32[np.ndarray, "point 3"]:
+    """The points on a person from the sensor nearest to a camera."""
     if len(person.origins) == 1:
         return person.points
     return person.points[person.sensor == np.linalg.norm(person.origins - camera, axis=1).argmin()]
 
 
 class Heads:
-    """The head in each frame so far, from its filter. Metres, fixed frame."""
+    """The head in each row so far, from its filter. Metres, fixed frame."""
 
     def __init__(self, seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings):
-        self.place: dict[int, np.ndarray] = {}  # [3] by row; none: no face is seen
+        self.place: dict[int, np.ndarray] = {}  # [3] by row; absent: no face was seen
         self._stature = begin.stature
         self._filter = HeadFilter(skin, begin.stature, s.head_particles, np.random.default_rng(s.seed))
         self._filter.begin(seen.features[first], begin.head, begin.face_seen)
         self._blind = not begin.face_seen
 
     def look(self, seen: Observed, i: int) -> None:
-        """In one more row, which follows the one before."""
+        """Adds the next row."""
         if self._blind:
             return
         f, points = seen.features[i], seen.people[i].points
@@ -198,7 +198,7 @@ class Heads:
             height = seen.scene.floor.height(points)
             top = np.median(points[height > np.percentile(height, 97)], 0).astype(np.float32)
             if found is not None and np.linalg.norm(found - top) > _BELOW * self._stature:
-                found = None  # skin somewhere else
+                found = None  # skin elsewhere, such as a hand
             if found is None:
                 self._filter.follow(f, top)
         if found is not None:
@@ -206,27 +206,27 @@ class Heads:
 
 
 class Begun(NamedTuple):
-    """What the first row with a person says."""
+    """Tracking from the first row with a person."""
 
-    seen: Observed  # with the camera first that sees the face
+    seen: Observed  # its first camera is the one that sees the face
     skin: SkinModel
     first: int  # row
     begin: Start
     heads: Heads
-    guesses: Guesses | None  # None: one hypothesis alone, as in the paper, or an unknown floor
+    guesses: Guesses | None  # None: a single hypothesis, as in the paper, or an unknown floor
     model: FlexibleBody
     states: State  # before the first row; leading axis: hypothesis
     key: jax.Array
 
     def look(self, row: int) -> None:
-        """Takes one more row, which follows the one before."""
+        """Adds the next row."""
         self.heads.look(self.seen, row)
         if self.guesses is not None:
             self.guesses.look(row, self.seen.people[row], self.seen.scene.floor)
 
 
 def begun(body: Body, seen: Observed, settings: Settings) -> Begun | None:
-    """None: nobody is there yet."""
+    """Starts tracking; None without a person so far."""
     s = settings.flexible
     seen, skin, first, begin = started(seen, settings.start.scale)
     if begin is None:
@@ -240,7 +240,7 @@ def begun(body: Body, seen: Observed, settings: Settings) -> Begun | None:
 
 
 def finished(on: Begun, nobody: Tracks, found: Seen, settings: Settings) -> Tracks:
-    """The tracks of `nobody_of` with what was found, rated."""
+    """The tracks of `nobody_of` filled with results and confidence."""
     rows = range(on.first, on.first + len(found.x))
     tracks = tracks_of(nobody, on.begin, on.seen, on.first, found, camera_places(on.seen, rows))
     if not on.begin.face_seen:
@@ -251,8 +251,8 @@ def finished(on: Begun, nobody: Tracks, found: Seen, settings: Settings) -> Trac
     return rate_joints(tracks, found, on.seen.row[on.first :], least, not settings.online)
 
 
-# 6 parameters: what a chunk of frames is made of
-def _inputs(on: Begun, seen: Observed, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
+# 6 parameters: the sources of a chunk of frames
+def _build_inputs(on: Begun, seen: Observed, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
     rows, heads, skin, none = [], on.heads, on.skin, np.zeros((16, 3), np.float32)
     guesses = on.guesses.place if on.guesses is not None else {}
     for k, i in enumerate(at):
@@ -269,48 +269,48 @@ def _inputs(on: Begun, seen: Observed, at: list[int], s: FlexibleSettings, up: n
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 
 
-# 7 parameters: a pass is run from two places
+# 7 parameters: a pass runs in both directions and live
 def filtered(
     on: Begun, states: State, seen: Observed, order: range, key: jax.Array, s: FlexibleSettings,
     progress: Progress | None = None,
 ) -> tuple[State, Seen]:  # fmt: skip
-    """Filters over rows in the order given. Leading axes: hypothesis; of what is seen frame, hypothesis."""
+    """Runs the filters over rows in a given order. Leading axes: of states hypothesis; of results frame, hypothesis."""
     out, n, shape = [], numbers(s, seen.scene.floor), shape_of(s)
     up, frames = seen.scene.floor.normal.astype(np.float32), list(order)
     for begin in range(0, len(frames), CHUNK):
         at = frames[begin : begin + CHUNK]
         pad = CHUNK - len(at)
-        given = jax.device_put(_inputs(on, seen, at + at[-1:] * pad, s, up, pad))
+        given = jax.device_put(_build_inputs(on, seen, at + at[-1:] * pad, s, up, pad))
         states, found = track_chunk(on.model, states, given, key, n, shape)
         out.append(jax.tree.map(np.asarray, found))
         if progress is not None:
             progress(len(at))
-    return states, jax.tree.map(lambda *each: np.concatenate(each)[: len(frames)], *out)  # without what fills up
+    return states, jax.tree.map(lambda *each: np.concatenate(each)[: len(frames)], *out)  # without padding
 
 
 def chosen(every: Seen, at: Int[np.ndarray, " frame"]) -> Seen:
-    """Of the hypotheses one in each frame."""
+    """The results of one hypothesis in each frame."""
     return jax.tree.map(lambda a: a[np.arange(len(at)), at], every)
 
 
 def descent(every: Seen, online: bool = False) -> Int[np.ndarray, " frame"]:
-    """Of each frame the hypothesis from which the one comes that fits best in the last frame; `online`: the one that
-    fits best there."""
+    """For each frame the ancestor of the best hypothesis in the last frame; `online`: the best hypothesis of the
+    frame."""
     fit, follows, anew = (np.asarray(a) for a in (every.fit, every.follows, every.anew))
     at = fit.argmax(1)
     for i in range(len(fit) - 1, 0, -1) if not online else ():
-        at[i - 1] = at[i - 1] if anew[i, at[i]] else follows[i - 1, at[i]]  # before it began anew others fit best
+        at[i - 1] = at[i - 1] if anew[i, at[i]] else follows[i - 1, at[i]]  # before a restart: the best of that frame
     return at
 
 
 def camera_places(seen: Observed, at: Iterable[int]) -> Float[np.ndarray, "frame 3"]:
-    """The camera's centres in some images, metres."""
+    """Positions of the first camera in some rows, metres."""
     return np.array([seen.features.place(i) for i in at], float)
 
 
 def better(ahead: Seen, back: Seen, weighing: Weighing) -> Seen:
-    """Of two passes, there and back in time, the body that explains more points in each stretch of time; each of its
-    limbs from the pass in which it scores more."""
+    """Merges a forward and a backward pass: in each stretch of time the body that explains more points, with each limb
+    from the pass with the higher score."""
     smooth = lambda a: gaussian_filter1d(np.asarray(a, float), _STRETCH, axis=0, mode="nearest")  # noqa: E731
     gain = smooth(back.explained - ahead.explained) > _EXPLAINS_MORE
     pick = lambda a, b: np.where(gain.reshape(-1, *[1] * (a.ndim - 1)), b, a)  # noqa: E731
@@ -322,7 +322,7 @@ def better(ahead: Seen, back: Seen, weighing: Weighing) -> Seen:
         moved = other.x[:, rows] + (body.x[:, rows[:1]] - other.x[:, rows[:1]])
         x[:, rows] = np.where(swap[:, limb, None, None], moved, x[:, rows])
         spread[:, limb] = np.where(swap[:, limb, None], other.spread[:, limb], spread[:, limb])
-    # where both agree, the trunk among it, their mean: each trails what it comes from
+    # the mean where both agree, in the trunk too: each pass lags behind the motion in its direction
     swapped = (swap[:, _LIMB_OF] & (_LIMB_OF >= 0))[..., None]
     off = np.where(swapped, body.x, other.x) - x
     apart = np.linalg.norm(off, axis=-1)
@@ -332,7 +332,7 @@ def better(ahead: Seen, back: Seen, weighing: Weighing) -> Seen:
 
 
 def smoothed(x: Float32[np.ndarray, "frame 16 3"], time_ns: np.ndarray) -> Float32[np.ndarray, "frame 16 3"]:
-    """Without the particles' noise: zero-phase over so little time that fast hands keep their way."""
+    """Smooths the particles' noise: zero-phase, over a time too short to affect fast hands."""
     if len(x) < 2:
         return x
     sigma = _SMOOTH / max(float(np.median(np.diff(time_ns))) / 1e9, 1e-3)
@@ -340,7 +340,7 @@ def smoothed(x: Float32[np.ndarray, "frame 16 3"], time_ns: np.ndarray) -> Float
 
 
 def tracks_of(tracks: Tracks, begin: Start, seen: Observed, first: int, found: Seen, camera: np.ndarray) -> Tracks:
-    """The tracks of `nobody_of` with what was found from row `first` on."""
+    """The tracks of `nobody_of` filled with results from row `first` on."""
     body = scaled(tracks.body, begin.stature)
     rows, x = seen.row[first:], np.asarray(found.x, float)
     tracks.rotation[rows], tracks.translation[rows] = limb_poses(body, x)
@@ -352,12 +352,12 @@ def tracks_of(tracks: Tracks, begin: Start, seen: Observed, first: int, found: S
     return replace(tracks, body=body)
 
 
-# 6 parameters: what tracks are made of
+# 6 parameters: the fields of tracks
 def nobody_of(
     body: Body, time_ns: Int64[np.ndarray, " frame"], scene: Scene, source: str = "", fixed_frame: str = "",
     notes: tuple[str, ...] = (),
 ) -> Tracks:  # fmt: skip
-    """Tracks of a recording in which nobody is found."""
+    """Tracks of a recording without a person."""
     count, limbs, centres = len(time_ns), body.limb_count, len(body.topology.centres)
     blank = lambda *shape: np.full((count, *shape), np.nan, np.float32)  # noqa: E731
     return Tracks(

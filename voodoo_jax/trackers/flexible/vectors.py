@@ -1,7 +1,6 @@
-"""Vectors with their components on the first axis: what is done to many of them is done to rows of numbers at once.
+"""Vectors with their components on the first axis, so that operations on many vectors act on long rows.
 
-Arrays whose last axis has length 3 make XLA's programs for processors sum three numbers at a time: measured 20 times
-slower.
+With a last axis of length 3, XLA's programs for CPUs sum three numbers at a time: measured 20 times slower.
 """
 
 from collections.abc import Callable
@@ -13,13 +12,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-_TINY = 1e-9  # square metres: float32 has no smaller distances here
+TINY = 1e-9  # square metres: float32 has no smaller distances here
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Vector:
-    """Vectors of any shape *b, which broadcast as scalars of that shape would."""
+    """Vectors of any shape *b, which broadcast like scalars of that shape."""
 
     v: Float[Any, "3 *b"]
 
@@ -32,7 +31,7 @@ class Vector:
         return self.v.ndim - 1
 
     def wide(self, ndim: int) -> Float[Any, "3 *b"]:
-        """With so many axes besides the first."""
+        """The components with `ndim` axes besides the first."""
         return self.v.reshape(3, *[1] * (ndim - self.ndim), *self.v.shape[1:])
 
     def __add__(self, other: "Vector") -> "Vector":
@@ -57,19 +56,19 @@ class Vector:
         return vector(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
     def length(self) -> Float[Array, "*b"]:
-        """Smooth at zero."""
-        return jnp.sqrt(self.dot(self) + _TINY)
+        """Lengths, smooth at zero."""
+        return jnp.sqrt(self.dot(self) + TINY)
 
     def unit(self) -> "Vector":
         return self * (1 / self.length())
 
     def where(self, condition: Any, other: "Vector") -> "Vector":
-        """These where the condition holds, else the others."""
+        """These vectors where the condition holds, else the others."""
         ndim = max(self.ndim, other.ndim, jnp.ndim(condition))
         return Vector(jnp.where(condition, self.wide(ndim), other.wide(ndim)))
 
     def stack(self, *others: "Vector") -> "Vector":
-        """These and others along a new first axis."""
+        """These vectors and others along a new first axis."""
         return Vector(jnp.stack([self.v, *(other.v for other in others)], 1))
 
     def stacked(self) -> Float[Array, "*b 3"]:
@@ -77,25 +76,25 @@ class Vector:
 
 
 def vector(x: Any, y: Any, z: Any) -> Vector:
-    """Of components."""
+    """Vectors from components."""
     return Vector(jnp.stack(jnp.broadcast_arrays(x, y, z)))
 
 
 def vectors(v: Float[Any, "*b 3"]) -> Vector:
-    """Of an array whose last axis has the components."""
+    """Vectors from an array with the components on the last axis."""
     return Vector(jnp.moveaxis(jnp.asarray(v), -1, 0))
 
 
 def turned(rows: Float[Any, "3 3"], v: Vector) -> Vector:
-    """A matrix times vectors."""
+    """Vectors multiplied by a matrix, given by its rows."""
     return vector(*(v.x * rows[i, 0] + v.y * rows[i, 1] + v.z * rows[i, 2] for i in range(3)))
 
 
 def kept(true: Any, function: Callable[..., Any], *operands: Any) -> Any:
-    """The function of operands, each of which is computed once and kept in memory: XLA for processors computes them
-    anew wherever they are read (measured: three times slower). It does not do so across a choice.
+    """Calls a function on operands that are each computed once and kept in memory: XLA for CPUs otherwise recomputes
+    them at every use (measured: three times slower). It does not do so across a branch.
 
-    **Arguments:** `true` is so, but only the data says it, not the program.
+    **Arguments:** `true` a condition that always holds, but that the compiler cannot know.
     """
     out = jax.eval_shape(function, *operands)
     nothing = lambda *_: jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), out)  # noqa: E731

@@ -1,4 +1,5 @@
-"""Size of people who are cut off below, without a visible floor: from head and shoulders, not from the head's height.
+"""Size of people whose lower body is outside the image, without a visible floor: from head and shoulders, not from the
+height of the head.
 
 Host side.
 """
@@ -19,14 +20,14 @@ from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 @dataclass(frozen=True)
 class CutOffSize:
     """If the assumed floor would make a person unusually tall or small: the best of starts in several sizes, each on a
-    floor at that distance below the head; unusual ones must explain more. Numbers were chosen by hand, but for the
-    usual stature."""
+    floor at that distance below the head. Unusual sizes must explain more. Numbers were chosen by hand, except for the
+    distribution of stature."""
 
     name: ClassVar = "cut_off_size"
     looks_ahead: ClassVar = False
     needs: ClassVar = frozenset({"points"})
 
-    unusual: float = 2.0  # standard deviations: who is less unusual stands on the floor that is supposed
+    unusual: float = 2.0  # standard deviations: people of a less unusual size are taken to stand on the assumed floor
     sizes: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
 
     def __call__(self, run: Runner, search: Search) -> Search:

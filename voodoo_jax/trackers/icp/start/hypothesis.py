@@ -16,16 +16,16 @@ from voodoo_jax.trackers.icp.trials import facing, opposite, standing_places
 from voodoo_jax.trackers.shared.eye import Seen, poses_of, seen
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
-# a start that faces the other way is looked at where it costs less than so much more than the best; by hand
+# a start facing the other way is a rival if its cost is below this multiple of the best; by hand
 RIVAL = 1.1
-FAR_RIVAL = 3.0  # and if it costs less than so much more where something else speaks for it; by hand
-OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: whose lowest points are so much higher jumps; if even higher, feet are hidden
-BADLY = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly; by hand
-USUAL = 0.018  # metres of noise that a start is allowed in any case; by hand
-NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is; by hand
+FAR_RIVAL = 3.0  # the same multiple where posture or walking also favours the rival; by hand
+OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: lowest points above the first: a jump; above the second: hidden feet
+BADLY = 2.0  # times the unexplained cost of a sure start: above it a body fits badly; by hand
+USUAL = 0.018  # metres of noise that every start is allowed; by hand
+NOISY = 0.03  # metres of noise above which later starts are tried in any case; by hand
 
-# where the eye sees somebody one of so many headings is tried; frames of which it sees one, and weight of the logarithm
-# of its odds against a start's facing in that of the cost: measured, experiments/eye
+# where the learned eye sees a person: every n-th heading is tried, every n-th frame is used, and the weight of the
+# logarithm of its odds against a start's facing in the logarithm of the cost: measured, experiments/eye
 FEWER, EVERY, TURNED = 3, 3, 0.3
 
 
@@ -36,7 +36,7 @@ class StartHypothesis(NamedTuple):
     body: Body  # with its size
     poses: Poses
     cost: float  # see solve.scan.cost_of and body_size.unlikely
-    noise: float = 0.0  # of the points that it was tried on, metres, at least USUAL
+    noise: float = 0.0  # of the points of the trial, metres, at least USUAL
     rival: "StartHypothesis | None" = None  # faces the other way
 
     def clear(self, sure: float) -> bool:
@@ -45,19 +45,19 @@ class StartHypothesis(NamedTuple):
 
     @property
     def close_rival(self) -> "StartHypothesis | None":
-        """The rival, if it costs hardly more."""
+        """The rival, if its cost is hardly higher."""
         return self.rival if self.rival is not None and self.rival.cost < RIVAL * self.cost else None
 
     @property
     def unexplained(self) -> float:
-        """Its cost beyond that of noise, square metres."""
+        """Cost above the cost of noise alone, square metres."""
         return self.cost - self.noise**2
 
 
 def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> StartHypothesis:
-    """The best of trials from frame `at`, see places_to_try, and of one in the poses `before`, moved there.
+    """The best of trials from frame `at`, see places_to_try, and of one in the poses `before`, moved to the points.
 
-    `rest` the body with another rest pose, to begin with that.
+    **Arguments:** `rest` the body with another rest pose, from which trials begin.
     """
     frames = tried_on(run, at)
     places = places_to_try(run, rest or body, frames)
@@ -69,8 +69,8 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: B
 
 
 def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> list[Poses]:
-    """Poses in the last of some frames: at rest in headings all round, or in fewer, and as the eye sees the person,
-    left and right as it says and exchanged."""
+    """Poses to try in the last of some frames: at rest in headings all round; with a person seen by the learned eye, in
+    fewer headings and in its pose, with left and right as it says and exchanged."""
     person = person_in(run, frames[-1])
     seen_as = [] if person is None else [poses_of(body, each) for each in (person, person.exchanged)]
     poses = [pose for pose in seen_as if pose is not None]
@@ -80,14 +80,14 @@ def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> lis
 
 
 def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
-    """The person in a frame as the eye sees them; None for other bodies and on an unknown floor."""
+    """The person in a frame as seen by the learned eye; None for other bodies and on an unknown floor."""
     if run.body.scale_name != "stature" or run.scene.floor_open:
         return None
     return seen(frame, run.scene.floor)
 
 
 def ahead_first(run: Runner, start: StartHypothesis) -> StartHypothesis:
-    """A start or its rival, which costs the more the surer the eye is that somebody does not face so."""
+    """The start or its rival, whichever costs less when the eye's odds against a facing raise its cost."""
     some = run.people[start.frame : start.frame + run.settings.start.size_frames : EVERY] if start.rival else []
     fronts = [person.front for f in some if (person := person_in(run, f)) is not None]
     if start.rival is None or not fronts:
@@ -104,7 +104,7 @@ def best_from(run: Runner, at: int, body: Body, places: list[Poses]) -> StartHyp
     s, frames = run.settings.start, tried_on(run, at)
     noise = noise_of(frames)
     tried = run.trials(body, frames, places)
-    odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # of a size that is known nobody doubts
+    odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # a known size is never unlikely
     found = [
         StartHypothesis(
             at, body, jax.tree.map(lambda x, k=k: x[k], tried.state.poses), odds * float(tried.cost[k]), noise
@@ -115,14 +115,14 @@ def best_from(run: Runner, at: int, body: Body, places: list[Poses]) -> StartHyp
 
 
 def sized_at(run: Runner, at: int, low: float = np.inf) -> Body:
-    """The body in its known size, or else in the measured one, see measured_at."""
+    """The body in its known size, or else in the measured size, see measured_at."""
     return run.body if run.sized else measured_at(run, at, low)
 
 
 def measured_at(run: Runner, at: int, low: float = np.inf) -> Body:
     """The body in the size measured from frame `at` on.
 
-    `low` height of the lowest points above the floor when it stands, metres, to correct for a body in the air."""
+    **Arguments:** `low` height of the lowest points above the floor while standing, metres, to correct for jumps."""
     s: StartSettings = run.settings.start
     frames, up = run.people[at : at + s.size_frames], run.scene.floor.normal
     lifts = (lowest(run, frame) - low for frame in frames)
@@ -136,17 +136,17 @@ def lowest(run: Runner, frame: BodyObservation) -> float:
 
 
 def tried_on(run: Runner, at: int) -> list[BodyObservation]:
-    """The frames from `at` on by which trials are compared."""
+    """The frames from `at` on that trials are compared over."""
     s: StartSettings = run.settings.start
     return soon([f for f in run.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS], s)
 
 
 def soon(frames: list[BodyObservation], s: StartSettings) -> list[BodyObservation]:
-    """The first frames, by which trials are compared; over a longer time correct starts are lost, too."""
+    """The first frames, over which trials are compared; over a longer time correct starts are lost, too."""
     return [f for k, f in enumerate(frames[: s.frames]) if k < 3 or f.time_ns - frames[0].time_ns <= s.seconds * 1e9]
 
 
 def noise_of(frames: list[BodyObservation]) -> float:
-    """Noise that a start from these frames may have, metres."""
-    # people are no cylinders: a quieter sensor does not come nearer to them
+    """Noise allowed for a start from these frames, metres."""
+    # people are not cylinders: with a quieter sensor the points are no nearer to them
     return max(USUAL, float(np.median([f.noise for f in frames])))

@@ -19,8 +19,8 @@ class LaterStart:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"points"})
 
-    as_well: float = 1.2  # the earliest that costs less than so much more than the cheapest: less is tracked backwards
-    clearer: float = 0.5  # a later start is taken where it costs less than this share of the first
+    as_well: float = 1.2  # takes the earliest start below this multiple of the least cost: less is tracked backwards
+    clearer: float = 0.5  # a later start must cost less than this share of the first one
 
     def __call__(self, run: Runner, search: Search) -> Search:
         first, found = search.best, list(search.found)
@@ -29,7 +29,7 @@ class LaterStart:
         low = lowest(run, run.people[search.at])
         for frame in frames_after(run, search.at):
             found.append(trial(run, frame, sized_at(run, frame, low)))
-            if found[-1].clear(0.0):  # who was in doubt is not easily sure again
+            if found[-1].clear(0.0):  # stricter than for the first start: the person was in doubt
                 break
         least = min(b.cost for b in found)
         cheapest = next(b for b in found if b.cost < self.as_well * least)
@@ -38,12 +38,12 @@ class LaterStart:
 
 
 def frames_after(run: Runner, at: int) -> list[int]:
-    """Frames after `at` to start from, without a gap in points before them, and before the body changes."""
+    """Frames after `at` to start from: before the first gap without points, and before the body changes."""
     end = min([len(run.people), *(frame for frame, _ in run.pending)])
     seconds = np.array([f.time_ns - run.people[at].time_ns for f in run.people[at:end]]) / 1e9
     empty = np.array([len(f.points) < FEW_POINTS for f in run.people[at:end]], bool)
-    # the first pause that is longer than what a start reaches over
+    # the first gap that is too long to track across
     pause = first_run(empty, run.settings.track.patience)
     found = [int(np.searchsorted(seconds, t)) for t in run.settings.start.later]
-    last = len(empty) - run.settings.start.frames  # of fewer frames some leg explains another one's points
+    last = len(empty) - run.settings.start.frames  # with fewer frames one leg explains the points of the other one
     return [at + k for k in dict.fromkeys(found) if 0 < k < pause and k <= last and not empty[k]]

@@ -1,4 +1,4 @@
-"""Adds starts with a lying body for low, long objects. Host side."""
+"""Adds starts with a lying body for low, long point sets. Host side."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -20,28 +20,28 @@ from voodoo_jax.trackers.icp.start.stage import Search
 from voodoo_jax.trackers.icp.trials import place
 from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
-WAYS = 4  # face up, to both sides and down: any gives the same that has these four
-SAME = 0.75 * 2 * np.pi / WAYS  # derived, radians: trunks nearer to each other's than to that lie the same way
-# of half a trunk's depth: so far behind what is seen of it its middle lies: derived, as far as a cylinder's axis lies
-# behind its near side on average
+WAYS = 4  # facing up, left, down and right: any gives the same with these four
+SAME = 0.75 * 2 * np.pi / WAYS  # derived, radians: orientations closer than this count as the same
+# share of half the trunk's depth by which its middle lies behind its visible points: derived, the mean distance of a
+# cylinder's axis behind its near side
 DEEP = np.pi / 4
 
 
 @dataclass(frozen=True)
 class LyingDown:
-    """The best of starts along the longest level extent of the points, head at either end, facing up, to both sides and
-    down; only for low, long objects. Arms or feet may be at its ends, and legs may be hidden, or too near to the
-    surface below. So several sizes are tried, of which unusual ones must explain more. Numbers were chosen by hand."""
+    """The best of starts along the longest horizontal extent of the points, with the head at either end, facing up,
+    down and to both sides; only for low, long point sets. Arms or feet may be at the ends, and legs may be hidden or
+    too close to the floor, so several sizes are tried. Unusual sizes must explain more. Numbers were chosen by hand."""
 
     name: ClassVar = "lying_down"
     looks_ahead: ClassVar = False
     needs: ClassVar = frozenset({"points"})
 
-    lengths: tuple[float, ...] = (1.05, 0.96, 0.86)  # sizes, of what is seen
-    usual: tuple[float, ...] = (-2.0, -0.7, 0.7, 2.0)  # sizes where those are smaller, in standard deviations
-    larger: float = 1.12  # of what is seen: such sizes are at least so large
-    smallest: float = 0.9  # metres: as for who stands
-    frames: int = 90  # over which ways to lie are compared
+    lengths: tuple[float, ...] = (1.05, 0.96, 0.86)  # sizes, as multiples of the visible length
+    usual: tuple[float, ...] = (-2.0, -0.7, 0.7, 2.0)  # further, larger sizes, in standard deviations
+    larger: float = 1.12  # times the visible length: least of the further sizes
+    smallest: float = 0.9  # metres: as for standing people
+    frames: int = 90  # over which orientations are compared
 
     def __call__(self, run: Runner, search: Search) -> Search:
         at, frames = search.best.frame, tried_on(run, search.best.frame)
@@ -51,7 +51,7 @@ class LyingDown:
         if not seen.lies:
             return search
         found: list[tuple[float, StartHypothesis, list[list[Poses]]]] = []
-        for body in self._bodies(run, search, seen):
+        for body in self._list_bodies(run, search, seen):
             for rest in filter(None, (body, in_stance(body, CURLED))):
                 places = lying_places(rest, frames[-1], run.scene.floor)
                 tried = best_from(run, at, body, [*places[0], *places[1]])
@@ -60,24 +60,24 @@ class LyingDown:
         if cost >= search.best.cost:
             return search
         if run.settings.looks_ahead("track"):
-            best = self._turned(run, best, places)
+            best = self._choose_orientation(run, best, places)
         return search._replace(best=best, found=(best,))
 
-    def _turned(self, run: Runner, best: StartHypothesis, places: list[list[Poses]]) -> StartHypothesis:
-        """The best orientation over more frames, and the next best: a few frames hardly distinguish head from feet, or
-        front from back of a person on the side."""
+    def _choose_orientation(self, run: Runner, best: StartHypothesis, places: list[list[Poses]]) -> StartHypothesis:
+        """The best orientation over more frames, with the next best as its rival: a few frames hardly distinguish head
+        from feet, or front from back of a person lying on the side."""
         each = [best_from(run, best.frame, best.body, list(some)) for some in zip(*places)]
         apart: list[StartHypothesis] = []
         for one in sorted((best, *each), key=lambda one: one.cost):
-            if one.cost < FAR_RIVAL * best.cost and all(not _alike(one, other) for other in apart):
+            if one.cost < FAR_RIVAL * best.cost and all(not _have_same_orientation(one, other) for other in apart):
                 apart.append(one._replace(rival=None))
-        costs = self._over(run, apart[:WAYS])
+        costs = self._extend_trials(run, apart[:WAYS])
         order = sorted(range(len(costs)), key=costs.__getitem__)
         first, *others = (apart[k]._replace(cost=best.cost * costs[k] / costs[order[0]]) for k in order)
         return first._replace(rival=others[0] if others else None)
 
-    def _over(self, run: Runner, starts: list[StartHypothesis]) -> list[float]:
-        """Cost of starts over more frames, including that of joints bent the wrong way and limbs inside others."""
+    def _extend_trials(self, run: Runner, starts: list[StartHypothesis]) -> list[float]:
+        """Costs of starts over more frames, including joints bent the wrong way and limbs inside others."""
         body, costs = run.body, []
         for start in starts:
             run.body = start.body
@@ -87,8 +87,8 @@ class LyingDown:
         run.body = body
         return costs
 
-    def _bodies(self, run: Runner, search: Search, seen: Extent) -> list[Body]:
-        """The body in all sizes to try."""
+    def _list_bodies(self, run: Runner, search: Search, seen: Extent) -> list[Body]:
+        """The body in every size to try."""
         if run.sized or run.settings.start.scale > 0:
             return [search.best.body]
         usual = (STATURE + STATURES * k for k in self.usual)
@@ -96,15 +96,15 @@ class LyingDown:
         return [scaled(run.body, s) for s in (*sizes, *(s for s in usual if s > self.larger * seen.length))]
 
 
-def _alike(one: StartHypothesis, other: StartHypothesis) -> bool:
-    """Whether two have about the same orientation: head at the same end, facing the same side."""
+def _have_same_orientation(one: StartHypothesis, other: StartHypothesis) -> bool:
+    """Whether two starts have about the same orientation: head at the same end, facing the same side."""
     turns = rotations(np.stack([one.poses.rotation[0], other.poses.rotation[0]]))
     return bool((turns[0].inv() * turns[1]).magnitude() < SAME)
 
 
 def lying_places(body: Body, frame: BodyObservation, floor: Plane) -> list[list[Poses]]:
-    """Lying rest poses at the points, aligned at the feet and at the head: two lists with the same orientations, the
-    head at either end and WAYS rotations about the long axis."""
+    """Lying rest poses at the points: two lists, aligned at the feet and at the head, with the same orientations (the
+    head at either end, WAYS rotations about the long axis)."""
     seen, height = extent(frame.points, floor), float(rest_box(body)[1][2])
     sight = seen.middle - frame.origins[int(np.bincount(frame.sensor).argmax())]
     middle = seen.middle + DEEP * float(np.max(np.asarray(body.sizes)[:, 0])) * sight / np.linalg.norm(sight)

@@ -16,38 +16,38 @@ from voodoo_jax.trackers.shared.confidence import STATURE
 
 @dataclass(frozen=True)
 class OtherStances:
-    """The best of starts in the stances of the pose library, for a body that can take them. A skirt looks much like a
-    sitting person, which would have to be much taller. The worse all starts fit, the less their costs mean, so a stance
-    that makes a person unusually tall must explain more. Numbers by hand, but for the usual stature."""
+    """The best of starts in the stances of the pose library, for a body that can take them. A person in a skirt looks
+    much like a sitting person who is much taller. The worse all starts fit, the less their costs mean, so a stance
+    that makes a person unusually tall must explain more. Numbers by hand, except for the distribution of stature."""
 
     name: ClassVar = "other_stances"
     looks_ahead: ClassVar = False
     needs: ClassVar = frozenset({"points"})
 
-    likelier: float = 0.8  # to stand, or what was found before, is left where another costs less than this share of it
+    likelier: float = 0.8  # another stance than standing, or than the previous one, must cost less than this share
 
     def __call__(self, run: Runner, search: Search) -> Search:
-        # who sat before what is at rest was taken away did not stand up by that; else people stand
+        # a person sitting before static objects were removed still sits after it; otherwise people stand
         earlier = run.stances.pop(search.at, None)
         posed = in_stances(run, search.best.frame) if search.best.unexplained > run.settings.start.sure else []
         every = [(search.best, None), *posed]
         unexplained = max(min(found.unexplained for found, _ in every), 1e-9)
         fit = min(1.0, BADLY * run.settings.start.sure / unexplained)
 
-        def against(one: tuple[StartHypothesis, Stance | None]) -> float:
+        def penalised_cost(one: tuple[StartHypothesis, Stance | None]) -> float:
             found, stance = one
             cost = fit * float(np.log(found.cost * (self.likelier if stance is None is earlier else 1.0)))
-            if stance is not None and stance is earlier:  # it has been asked how tall they are
+            if stance is not None and stance is earlier:  # its size was rated before
                 return cost + float(np.log(self.likelier))
-            return cost + max(_tall(found.body) - _tall(search.best.body), 0.0)
+            return cost + max(_penalise_tall(found.body) - _penalise_tall(search.best.body), 0.0)
 
-        best, stance = min(every, key=against)
+        best, stance = min(every, key=penalised_cost)
         if stance is not None:
             run.stances[search.at] = stance
         return search._replace(best=best, stance=stance)
 
 
-def _tall(body: Body) -> float:
+def _penalise_tall(body: Body) -> float:
     """Penalty for a body taller than usual, as a logarithm of costs."""
     return rarity(max(float(body.scale), STATURE)) if body.scale_name == "stature" else 0.0
 
@@ -56,7 +56,7 @@ def in_stances(run: Runner, at: int) -> list[tuple[StartHypothesis, Stance]]:
     """Starts from frame `at` with arms raised or sitting; none for a body without these stances."""
     found, seen = [], sized_at(run, at)
     for stance in STANCES:
-        # where the size is known, so is what the highest point is
+        # with a known size the stance need not explain the height
         for size in (1.0,) if run.sized else stance.sizes:
             body = seen if size == 1.0 else scaled(seen, float(seen.scale) * size)
             posed = in_stance(body, stance)

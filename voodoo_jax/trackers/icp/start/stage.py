@@ -14,14 +14,14 @@ from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 class Search(NamedTuple):
     """The search for the start of a segment."""
 
-    at: int  # frame in which it begins
-    best: StartHypothesis  # may be of a later frame
-    found: tuple[StartHypothesis, ...]  # standing, of this frame and of later ones
-    stance: Stance | None = None  # of the best one, if it does not stand
+    at: int  # frame in which the search begins
+    best: StartHypothesis  # may begin in a later frame
+    found: tuple[StartHypothesis, ...]  # standing starts, from this frame and from later ones
+    stance: Stance | None = None  # of the best start; None: standing
 
 
 @runtime_checkable
 class StartStage(Named, Protocol):
-    """A further kind of start."""
+    """Tries further starts and returns the search with the best one."""
 
     def __call__(self, run: Runner, search: Search) -> Search: ...
