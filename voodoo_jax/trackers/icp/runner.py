@@ -16,6 +16,7 @@ from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.solve.scan import State, Step, at_rest, cost_of
 from voodoo_jax.trackers.icp.trials import Trial, in_pieces, run_trials
+from voodoo_jax.trackers.shared.eye import Seen
 from voodoo_jax.trackers.shared.runner import FEW_POINTS, TRACKS, FrameRunner
 
 LONG = 4.0  # times prior_interval: derived, over longer times a prediction does not count less (solve.scan)
@@ -28,6 +29,7 @@ class Runner(FrameRunner):
     def __init__(self, *given: Any, **named: Any):
         super().__init__(*given, **named)
         self.known = False  # whether the body has had its size from the beginning
+        self.seen: dict[int, Seen | None] = {}  # by the learned eye, by the frame's time
         self.stances: dict[int, Stance] = {}  # that segments began in, by first frame, the last time they were tracked
 
     def can_start(self, at: int) -> bool:

@@ -83,7 +83,9 @@ def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
     """The person in a frame as seen by the learned eye; None for other bodies and on an unknown floor."""
     if run.body.scale_name != "stature" or run.scene.floor_open:
         return None
-    return seen(frame, run.scene.floor)
+    if frame.time_ns not in run.seen:
+        run.seen[frame.time_ns] = seen(frame, run.scene.floor)
+    return run.seen[frame.time_ns]
 
 
 def ahead_first(run: Runner, start: StartHypothesis) -> StartHypothesis:
