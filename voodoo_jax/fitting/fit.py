@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
-from voodoo_jax.fitting.gauss_newton import FEW_MORE, Part, Search, covariance, run_search, spread
+from voodoo_jax.fitting.gauss_newton import FEW_MORE, BaseSearch, Part, Search, covariance, run_search, spread
 from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, verdict_on, weakly_determined
 from voodoo_jax.fitting.parameters import parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
@@ -39,7 +39,7 @@ TruthLike = Truth | str | os.PathLike[str] | None
 class Found(NamedTuple):
     """Result of a search, not yet judged."""
 
-    search: Search
+    search: BaseSearch
     progress: Progress
     covariance: Float64[np.ndarray, "all all"]
     spread: Float64[np.ndarray, " all"]
@@ -61,7 +61,7 @@ class Found(NamedTuple):
         changes = self.search.changes(self.progress.x, first)
         return tuned_settings(settings, first.body.topology, changes, self.search.features)
 
-    def _first_parts(self) -> list[Part]:
+    def _first_parts(self) -> list[Any]:
         """The first recording of every person."""
         return [next(p for p in self.search.parts if p.person == k) for k in range(len(self.search.rows))]
 
@@ -97,7 +97,7 @@ def fit_tracked(
             for new in [search.body(x, p)]
         ]
         judged = [judged_by(was, now, p.person, t) for (was, now), p, t in zip(pairs, search.parts, known)]
-    sizes, usual = is_size(_name_entries(search)) & ~stays, search.sd / options.looseness
+    sizes, usual = is_size(entry_names(search)) & ~stays, search.sd / options.looseness
     verdict = verdict_on(judged, x / usual, sizes, bool(truths), bool(stays.all()))
     return fit_of(found, settings, options, judged, verdict)
 
@@ -112,7 +112,7 @@ def fit_of(found: Found, settings: Settings, options: FitSettings, judged: Seque
         for start, rows in zip(starts, search.rows)
     )
     return Fit(
-        bodies[0], bodies, fitted, starts, verdict, _name_entries(search), x, np.sqrt(np.diag(found.covariance)),
+        bodies[0], bodies, fitted, starts, verdict, entry_names(search), x, np.sqrt(np.diag(found.covariance)),
         found.spread, search.sd, found.stays, sizes, found.progress.losses, found.progress.done, tuple(judged), options,
         found.tuned(settings),
     )  # fmt: skip
@@ -156,7 +156,7 @@ def searched(
         parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
         search, progress = replace(search, parts=parts), replace(progress, done=False)
     # weakly determined sizes keep their start values, and the others are fitted again
-    stays = weakly_determined(_name_entries(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
+    stays = weakly_determined(entry_names(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
     if stays.any():
         progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
         progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)
@@ -169,7 +169,7 @@ def _stiffen_bands(search: Search, options: FitSettings) -> Search:
     return replace(search, options=eqx.tree_at(lambda o: o.ratio, search.options, ratio))
 
 
-def _bands_free(search: Search) -> bool:
+def _bands_free(search: BaseSearch) -> bool:
     return any(n.startswith(("bands.", "solve.")) for n in search.free.names)
 
 
@@ -236,10 +236,10 @@ def search_of(
         centre[row] = usual_lengths(one.given or one.tracks.body, free)
     objective = "truth" if truths else "held"
     held = np.zeros(size, bool)
-    return Search(free, tuple(parts), icp, objective, tuple(rows), sd, centre, held, options.noise, names)
+    return Search(free, tuple(parts), objective, tuple(rows), sd, centre, held, options.noise, names, options=icp)
 
 
-def _name_entries(search: Search) -> tuple[str, ...]:
+def entry_names(search: BaseSearch) -> tuple[str, ...]:
     """Names of all entries of the vector; with several persons, those of one person end in the person's number."""
     out, persons = [""] * len(search.sd), len(search.rows)
     for person, rows in enumerate(search.rows):

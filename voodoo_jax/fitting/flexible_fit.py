@@ -26,23 +26,21 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.opening import open_checked
 from voodoo_jax.detect.pipeline import build_of
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
+from voodoo_jax.fitting.fit import Found, entry_names, fit_of
 from voodoo_jax.fitting.frames import Truth, chosen_frames, news, read_truth, truth_at
 from voodoo_jax.fitting.gauss_newton import (
     FEW_MORE,
+    BaseSearch,
     FitError,
     Place,
-    Step,
     covariance,
-    height_misfit,
     run_search,
     spread,
 )
-from voodoo_jax.fitting.gauss_newton import PARTS as LEFT_OUT
 from voodoo_jax.fitting.judge import SIZES, is_size, judged_by, verdict_on, weakly_determined
 from voodoo_jax.fitting.objective import FEW, JOINT_SD, PER_LIMB, POINT_SD, ROBUST, Objective, as_distances
 from voodoo_jax.fitting.parameters import Parameters, changed, parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
-from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.recording import Recording
@@ -132,59 +130,37 @@ class FlexiblePart(NamedTuple):
     person: int
 
 
-@dataclass(frozen=True)
-class FlexibleSearch:
-    """Parameters and recordings of a fit, for gauss_newton.run_search; as gauss_newton.Search."""
+@dataclass(frozen=True, kw_only=True)
+class FlexibleSearch(BaseSearch):
+    """Parameters and recordings (each a FlexiblePart) of a fit with the flexible tracker."""
 
-    free: Parameters  # of one person
-    parts: tuple[FlexiblePart, ...]
-    objective: Objective
-    rows: tuple[np.ndarray, ...]
-    sd: Float64[np.ndarray, " all"]
-    centre: Float64[np.ndarray, " all"]
-    held: Bool[np.ndarray, " all"]
-    noise: float
     legs_apart: float
 
     def place(self, x: Float64[np.ndarray, " all"], starts: tuple[Any, ...] = ()) -> Place:
         """The loss at x."""
-        loss, found = 0.5 * float(np.sum(((x - self.centre) / self.sd) ** 2)), []
-        maps = tuple(jnp.asarray(m, jnp.float32) for m in self.free.maps)
+        loss, found = self.prior(x), []
         for part in self.parts:
-            here = jnp.asarray(x[self.rows[part.person]], jnp.float32)
-            sums = compiled_sums()(part.body, part.frames, here, maps, self.legs_apart, self.objective)
+            sums = compiled_sums()(part.body, part.frames, *self.inputs(x, part), self.legs_apart, self.objective)
             found.append(jax.tree.map(lambda a: np.asarray(a, np.float64), sums))
-            loss += self._weigh() * float(found[-1].cost.sum())
+            loss += self._share() * float(found[-1].cost.sum())
             if self.objective == "held":
-                loss += 0.5 * height_misfit(part.body, self.free, x[self.rows[part.person]])[0] ** 2
+                loss += 0.5 * self.height(x, part)[0] ** 2
         if not np.isfinite(loss):
             raise FitError("the search left the range of possible bodies; free fewer parameters (--free)")
         good = tuple(np.ones(len(sums.cost), bool) for sums in found)
         return Place(loss, good, tuple(sums.cost for sums in found), (), tuple(found))
 
-    def step(self, x: Float64[np.ndarray, " all"], here: Place, without: int = -1) -> Step:
-        """Sums of a step from x; `without` the part of every recording to leave out."""
-        slope, curve = (x - self.centre) / self.sd**2, np.zeros((len(x), len(x)))
-        for part, sums in zip(self.parts, here.found):
-            rows, there = self.rows[part.person], np.arange(len(sums.cost)) * LEFT_OUT // len(sums.cost) != without
-            share = self._weigh() * len(there) / there.sum()
-            slope[rows] += share * sums.slope[there].sum(0)
-            curve[np.ix_(rows, rows)] += share * sums.curve[there].sum(0)
-            if self.objective == "held":
-                off, by_x = height_misfit(part.body, self.free, x[rows])
-                slope[rows] += off * by_x
-                curve[np.ix_(rows, rows)] += np.outer(by_x, by_x)
-        return Step(slope, curve)
+    def weight(self, part: FlexiblePart, there: Bool[np.ndarray, " frame"]) -> float:
+        return self._share() * len(there) / there.sum()
+
+    def sums(self, x: Float64[np.ndarray, " all"], part: FlexiblePart, found: Sums) -> Sums:
+        return found
 
     def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float:
         """Decrease of the loss from x to `other`."""
         return here.loss - there.loss
 
-    def body(self, x: Float64[np.ndarray, " all"], part: FlexiblePart) -> Body:
-        """The body of a recording at x."""
-        return changed(part.body, self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32)))
-
-    def _weigh(self) -> float:
+    def _share(self) -> float:
         return (POINT_SD / self.noise) ** 2 if self.objective == "held" else 1.0
 
 
@@ -220,7 +196,8 @@ def fit_flexible(
         search = search_of(body, seen, settings, options, free, known)
         progress, place = _run_saved_search(search, options, state, tell)
         cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
-        stays = weakly_determined(free.names * len(search.rows), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
+        names = entry_names(search)
+        stays = weakly_determined(names, progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
         if stays.any():  # weakly determined sizes keep their start values, and the others are fitted again
             progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
             progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE)
@@ -230,20 +207,10 @@ def fit_flexible(
             new = part.body if stays.all() else search.body(progress.x, part)
             before, after = (_track_again(one, body, settings) for body in (part.body, new))
             judged.append(judged_by(before, after, part.person, truth))
-    sizes = is_size(free.names * len(search.rows)) & ~stays
+    sizes = is_size(names) & ~stays
     usual = search.sd / options.looseness
     verdict = verdict_on(judged, progress.x / usual, sizes, bool(truths), bool(stays.all()))
-    first = [next(p for p in search.parts if p.person == k) for k in range(len(search.rows))]
-    starts, fitted = tuple(p.body for p in first), tuple(search.body(progress.x, p) for p in first)
-    bodies = fitted if verdict.better else starts
-    tape = tuple(
-        sizes_after(p.body, free, progress.x[rows], cov[np.ix_(rows, rows)]) for p, rows in zip(first, search.rows)
-    )
-    names = tuple(n if len(first) == 1 else f"{n} ({k + 1})" for k in range(len(first)) for n in free.names)
-    return Fit(
-        bodies[0], bodies, fitted, starts, verdict, names, progress.x, np.sqrt(np.diag(cov)), apart, search.sd, stays,
-        tape, progress.losses, progress.done, tuple(judged), options, settings,
-    )  # fmt: skip
+    return fit_of(Found(search, progress, cov, apart, stays), settings, options, judged, verdict)
 
 
 def watched(
@@ -303,7 +270,8 @@ def search_of(
     s = settings.flexible
     objective: Objective = "truth" if any(t is not None for t in truths) else "held"
     return FlexibleSearch(
-        free, parts, objective, rows, sd, centre, np.zeros(len(sd), bool), options.noise, s.legs_apart - s.legs_cross
+        free, parts, objective, rows, sd, centre, np.zeros(len(sd), bool), options.noise,
+        legs_apart=s.legs_apart - s.legs_cross,
     )  # fmt: skip
 
 

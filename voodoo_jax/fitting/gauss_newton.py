@@ -6,6 +6,7 @@ minimisers are used for losses that are not least squares (fitting.tuning). Both
 (tests/fitting/test_fit.py).
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -29,7 +30,7 @@ from voodoo_jax.solve.pulls import IcpOptions
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less than this share of the loss, plus this, is the last
 SURE = 2.0  # a size keeps its start value if it moved by less than this many spreads between parts of the recordings
 FEW_MORE = 4  # further steps while some sizes are held
-PARTS = 4  # parts of a recording, left out in turn for the spread of the sizes
+SPLITS = 4  # parts of a recording, left out in turn for the spread of the sizes
 KNOWN = 0.1  # least share of the data in the information on a size, of data and prior
 FEWEST = 6  # least number of frames of a log at rest
 
@@ -109,12 +110,11 @@ def height_misfit(
 
 
 @dataclass(frozen=True)
-class Search:
-    """Parameters and recordings of a fit. `rows[person]`: entries of the vector that are a person's parameters."""
+class BaseSearch(ABC):
+    """Parameters and recordings of a fit, for run_search; `rows[person]` entries of the vector for each person."""
 
     free: Parameters  # of one person
-    parts: tuple[Part, ...]
-    options: IcpOptions
+    parts: tuple[Any, ...]  # recordings, each with its `body` before the fit, `frames` and number of its `person`
     objective: Objective
     rows: tuple[np.ndarray, ...]
     sd: Float64[np.ndarray, " all"]
@@ -123,48 +123,20 @@ class Search:
     noise: float = POINT_SD  # standard deviation of a point, metres
     features: tuple[str, ...] = ()  # names of the measured features
 
-    def height(self, x: Float64[np.ndarray, " all"], part: Part) -> tuple[float, Float64[np.ndarray, " free"]]:
-        """height_misfit of the body of a recording at x."""
-        return height_misfit(part.body, self.free, x[self.rows[part.person]])
+    @abstractmethod
+    def sums(self, x: Float64[np.ndarray, " all"], part: Any, found: Any) -> Any:
+        """Gauss-Newton sums `slope` and `curve` of each frame of a recording at x, where `place` has found `found`."""
 
-    def _compute_prior_loss(self, x: Float64[np.ndarray, " all"]) -> float:
-        return 0.5 * float(np.sum(((x - self.centre) / self.sd) ** 2))
-
-    def _weigh(self, part: Part, good: np.ndarray) -> float:
-        """Weight of the squared deviations of a recording's frames."""
-        # frames that do not come to rest are replaced by a higher weight of the others, so that losses compare
-        return float(np.asarray(part.frames.weight).sum()) / max(int(good.sum()), 1) * (POINT_SD / self.noise) ** 2
-
-    def _inputs(self, x: Float64[np.ndarray, " all"], part: Part) -> tuple:
-        maps = tuple(jnp.asarray(m, jnp.float32) for m in self.free.maps)
-        return jnp.asarray(x[self.rows[part.person]], jnp.float32), maps, self.objective
-
-    def place(self, x: Float64[np.ndarray, " all"], starts: tuple[Poses, ...] = ()) -> Place:
-        """Solves all frames at x; FitError if too few of them come to rest."""
-        loss = self._compute_prior_loss(x)
-        all_found = []
-        for part, start in zip(self.parts, starts or tuple(p.frames.poses for p in self.parts)):
-            found = compiled_placed()(part.body, self.options, part.frames, start, *self._inputs(x, part))
-            good, wanted = np.asarray(found.converged), float(np.asarray(part.frames.weight).sum())
-            if good.sum() < FEWEST:
-                raise FitError(
-                    f"{part.name}: only {good.sum()} of {wanted:.0f} frames come to rest; more steps may help "
-                    "(--fit.steps), or the log is not tracked well: look at it with voodoo-jax replay --picture"
-                )
-            loss += self._weigh(part, good) * float(np.asarray(found.cost, np.float64).sum())
-            if self.objective == "held":
-                loss += 0.5 * self.height(x, part)[0] ** 2
-            all_found.append(found)
-        rest, costs = zip(*((np.asarray(f.converged), np.asarray(f.cost, np.float64)) for f in all_found))
-        return Place(loss, rest, costs, tuple(f.rest.poses for f in all_found), tuple(all_found))
+    @abstractmethod
+    def weight(self, part: Any, there: Bool[np.ndarray, " frame"]) -> float:
+        """Weight of the squared deviations of a recording's frames `there`, which also stand for its other frames."""
 
     def step(self, x: Float64[np.ndarray, " all"], here: Place, without: int = -1) -> Step:
         """Sums of a step from x; `without` the part of every recording to leave out."""
         slope, curve = (x - self.centre) / self.sd**2, np.zeros((len(x), len(x)))
         for part, found, good in zip(self.parts, here.found, here.at_rest):
-            there = good & (np.arange(len(good)) * PARTS // len(good) != without)
-            rows, share = self.rows[part.person], self._weigh(part, there)
-            sums = compiled_normals()(part.body, self.options, part.frames, found, *self._inputs(x, part))
+            there = good & (np.arange(len(good)) * SPLITS // len(good) != without)
+            rows, share, sums = self.rows[part.person], self.weight(part, there), self.sums(x, part, found)
             slope[rows] += share * np.asarray(sums.slope, np.float64)[there].sum(0)
             curve[np.ix_(rows, rows)] += share * np.asarray(sums.curve, np.float64)[there].sum(0)
             if self.objective == "held":
@@ -173,13 +145,69 @@ class Search:
                 curve[np.ix_(rows, rows)] += np.outer(by_x, by_x)
         return Step(slope, curve)
 
+    def prior(self, x: Float64[np.ndarray, " all"]) -> float:
+        """Loss of the priors at x."""
+        return 0.5 * float(np.sum(((x - self.centre) / self.sd) ** 2))
+
+    def height(self, x: Float64[np.ndarray, " all"], part: Any) -> tuple[float, Float64[np.ndarray, " free"]]:
+        """height_misfit of the body of a recording at x."""
+        return height_misfit(part.body, self.free, x[self.rows[part.person]])
+
+    def inputs(self, x: Float64[np.ndarray, " all"], part: Any) -> tuple[Array, tuple[Array, ...]]:
+        """The parameters of a recording's person at x, and the maps, as inputs of programs."""
+        maps = tuple(jnp.asarray(m, jnp.float32) for m in self.free.maps)
+        return jnp.asarray(x[self.rows[part.person]], jnp.float32), maps
+
+    def changes(self, x: Float64[np.ndarray, " all"], part: Any) -> Changes:
+        """The changes of the person in a recording at x."""
+        return self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32))
+
+    def body(self, x: Float64[np.ndarray, " all"], part: Any) -> Body:
+        """The body of a recording at x."""
+        return changed(part.body, self.changes(x, part))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search(BaseSearch):
+    """Parameters and recordings (each a Part) of a fit with the ICP tracker."""
+
+    options: IcpOptions
+
+    def weight(self, part: Part, there: Bool[np.ndarray, " frame"]) -> float:
+        # frames that do not come to rest are replaced by a higher weight of the others, so that losses compare
+        return float(np.asarray(part.frames.weight).sum()) / max(int(there.sum()), 1) * (POINT_SD / self.noise) ** 2
+
+    def place(self, x: Float64[np.ndarray, " all"], starts: tuple[Poses, ...] = ()) -> Place:
+        """Solves all frames at x; FitError if too few of them come to rest."""
+        loss = self.prior(x)
+        all_found = []
+        for part, start in zip(self.parts, starts or tuple(p.frames.poses for p in self.parts)):
+            inputs = *self.inputs(x, part), self.objective
+            found = compiled_placed()(part.body, self.options, part.frames, start, *inputs)
+            good, wanted = np.asarray(found.converged), float(np.asarray(part.frames.weight).sum())
+            if good.sum() < FEWEST:
+                raise FitError(
+                    f"{part.name}: only {good.sum()} of {wanted:.0f} frames come to rest; more steps may help "
+                    "(--fit.steps), or the log is not tracked well: look at it with voodoo-jax replay --picture"
+                )
+            loss += self.weight(part, good) * float(np.asarray(found.cost, np.float64).sum())
+            if self.objective == "held":
+                loss += 0.5 * self.height(x, part)[0] ** 2
+            all_found.append(found)
+        rest, costs = zip(*((np.asarray(f.converged), np.asarray(f.cost, np.float64)) for f in all_found))
+        return Place(loss, rest, costs, tuple(f.rest.poses for f in all_found), tuple(all_found))
+
+    def sums(self, x: Float64[np.ndarray, " all"], part: Part, found: Placed) -> Normals:
+        """Gauss-Newton sums of the frames at rest."""
+        return compiled_normals()(part.body, self.options, part.frames, found, *self.inputs(x, part), self.objective)
+
     def compiled(self) -> None:
         """Compiles both programs for the first recording at the same time, instead of each at its first use.
 
         Does not run them: two such programs running at the same time have deadlocked.
         """
         part = self.parts[0]
-        frames, inputs = part.frames, self._inputs(np.zeros(len(self.sd)), part)
+        frames, inputs = part.frames, (*self.inputs(np.zeros(len(self.sd)), part), self.objective)
         asked = part.body, self.options, frames, frames.poses, *inputs
         at = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), eqx.filter_eval_shape(placed, *asked))
         with ThreadPoolExecutor(2) as pool:
@@ -190,21 +218,13 @@ class Search:
 
     def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float:
         """Decrease of the loss from x to `other`, over frames that are at rest in both."""
-        out = self._compute_prior_loss(x) - self._compute_prior_loss(other)
+        out = self.prior(x) - self.prior(other)
         for k, part in enumerate(self.parts):
             both = here.at_rest[k] & there.at_rest[k]
-            out += self._weigh(part, both) * float((here.costs[k] - there.costs[k])[both].sum())
+            out += self.weight(part, both) * float((here.costs[k] - there.costs[k])[both].sum())
             if self.objective == "held":
                 out += 0.5 * (self.height(x, part)[0] ** 2 - self.height(other, part)[0] ** 2)
         return out
-
-    def changes(self, x: Float64[np.ndarray, " all"], part: Part) -> Changes:
-        """The changes of the person in a recording at x."""
-        return self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32))
-
-    def body(self, x: Float64[np.ndarray, " all"], part: Part) -> Body:
-        """The body of a recording at x."""
-        return changed(part.body, self.changes(x, part))
 
 
 def run_search(
@@ -277,10 +297,10 @@ def spread(search: Searched, x: Float64[np.ndarray, " all"], place: Place) -> Fl
     """Standard deviation of every parameter between parts of the recordings: each part is left out in turn (jackknife),
     with one step from x."""
     found = []
-    for part in range(PARTS):
+    for part in range(SPLITS):
         sums = search.step(x, place, part)
         found.append(-np.linalg.solve(sums.curve + np.diag(1 / search.sd**2), sums.slope))
-    return np.sqrt((PARTS - 1) * np.var(found, axis=0))
+    return np.sqrt((SPLITS - 1) * np.var(found, axis=0))
 
 
 def undetermined(sd: Float64[np.ndarray, " all"], prior_sd: Float64[np.ndarray, " all"]) -> Bool[np.ndarray, " all"]:

@@ -27,7 +27,7 @@ from voodoo_jax.trackers.shared.report import derived_from
 
 # joint centres of each arm and leg, from the trunk outwards, and the limbs that begin at them
 CHAINS = tuple(tuple(CENTRES[POINTS[point]] for point in row) for row in LIMBS.tolist())
-CHAIN_LIMBS = tuple(LIMB_NAMES[3 * n : 3 * n + 3] for n in range(4))
+CHAIN_LIMBS = np.reshape(LIMB_NAMES, LIMBS.shape).tolist()
 # metres along each axis, standard deviations. ERRS: of joints that are correct by the ICP and by the flexible tracker,
 # measured on the choosing half of experiments/stereo and four other rendered logs. ELSE: of the distance between both
 # where one is wrong; of 0.2 and 0.3 the better one there

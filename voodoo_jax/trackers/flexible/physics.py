@@ -55,7 +55,6 @@ class Frames(NamedTuple):
     upper: Float[Array, "3 3"]
     lower: Float[Array, "3 3"]
     middle: Float[Array, "3"]  # of the hips, metres
-    top: Float[Array, "3"]  # of the shoulders, metres
 
 
 class _Axes(NamedTuple):
@@ -87,9 +86,9 @@ def _find_torso(x: Vector) -> tuple[_Axes, _Axes, Vector, Vector]:
 
 def frames(x: Float[Array, "16 3"]) -> Frames:
     """The torso's frames: shoulders are limited in the upper frame, hips in the lower one."""
-    upper, lower, hips, shoulders = _find_torso(vectors(x))
+    upper, lower, hips, _ = _find_torso(vectors(x))
     rows = lambda axes: jnp.stack([axis.v for axis in axes])  # noqa: E731
-    return Frames(rows(upper), rows(lower), hips.v, shoulders.v)
+    return Frames(rows(upper), rows(lower), hips.v)
 
 
 def verlet(
