@@ -137,7 +137,7 @@ def _bodies(m: Any, items: str, path: tuple[str, str, str]) -> Features:
         there = np.isfinite(at).all(1) & (at != 0).any(1)
         last = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
         # the last points of a format are often hidden: what is there does not tell it
-        formats = (_ZED.get(getattr(body, "body_format", None), 0), len(at), *_ZED.values())
+        formats = (_ZED.get(getattr(body, "body_format", -1), 0), len(at), *_ZED.values())
         names = next((n for count in formats if count >= last and (n := numbered_names(count))), ())
         who = next((getattr(body, k) for k in ("label_id", "tracking_id", "id") if hasattr(body, k)), number)
         found += [Named(f"body{who}:{n}", "", frame, stamp, p) for n, p, ok in zip(names, at, there) if ok]
