@@ -121,11 +121,17 @@ def test_poses_without_names(tmp_path):
     np.testing.assert_allclose(pairs(found)["left_ankle"], AT[2, 15], atol=1e-6)
 
 
-def test_bodies_without_names(tmp_path):
-    """As ZED's: room for 70 key points, of which its smallest format fills 18."""
+@pytest.mark.parametrize("says", [True, False])
+@pytest.mark.parametrize(
+    ("format", "count", "hidden", "name", "row"),
+    [(0, 18, 0, "left_ear", 17), (0, 18, 1, "left_hip", 11), (1, 34, 2, "left_knee", 19), (2, 38, 2, "left_hip", 18)],
+)
+def test_bodies_without_names(format, count, hidden, name, row, says, tmp_path):
+    """As ZED's: room for 70 key points, of which its smallest format fills 18. The last ones are often hidden; this
+    makes no other format of them."""
     text = (
         "std_msgs/Header header\nz_msgs/Body[] objects\n"
-        + SEP + "z_msgs/Body\nint16 label_id\nz_msgs/Skeleton skeleton_3d\n"
+        + SEP + "z_msgs/Body\nint16 label_id\n" + "int8 body_format\n" * says + "z_msgs/Skeleton skeleton_3d\n"
         + SEP + "z_msgs/Skeleton\nz_msgs/KeyPoint[70] keypoints\n" + SEP + "z_msgs/KeyPoint\nfloat32[3] kp\n"
     )  # fmt: skip
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -134,13 +140,13 @@ def test_bodies_without_names(tmp_path):
     log = Log(schema_text={"z_msgs/msg/Bodies": store.generate_msgdef("z_msgs/msg/Bodies", ros_version=2)[0].encode()})
     for i, frame in enumerate(AT):
         places = np.full((70, 3), np.nan, np.float32)
-        places[:18] = frame[:18]
-        body = own["Body"](7, own["Skeleton"]([own["KeyPoint"](p) for p in places]))
+        places[: count - hidden] = frame[: count - hidden]
+        body = own["Body"](7, *[format] * says, own["Skeleton"]([own["KeyPoint"](p) for p in places]))
         stamp = START + 33_000_000 * i
         head = store.types["std_msgs/msg/Header"]
         time = store.types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
         data = bytes(store.serialize_cdr(own["Bodies"](head(time, "map"), [body]), "z_msgs/msg/Bodies"))
         log.add("/bodies", stamp, ("z_msgs/msg/Bodies", data))
     found = vj.read_log(log.write(tmp_path / "a.mcap"))
-    np.testing.assert_allclose(pairs(found)["body7:left_ear"], AT[2, 17], atol=1e-5)
-    assert len(pairs(found)) == 18
+    np.testing.assert_allclose(pairs(found)[f"body7:{name}"], AT[2, row], atol=1e-5)
+    assert len(pairs(found)) == count - hidden

@@ -21,6 +21,7 @@ _KNOWN = (
     "geometry_msgs", "nav_msgs", "visualization_msgs", "vision_msgs", "std_msgs", "diagnostic_msgs", "trajectory_msgs",
     "sensor_msgs", "stereo_msgs", "tf2_msgs", "map_msgs", "shape_msgs", "rosgraph_msgs", "rcl_interfaces",
 )  # fmt: skip
+_ZED = {0: 18, 1: 34, 2: 38}  # how many key points each BODY_FORMAT of the ZED SDK has
 _PLACES = ("geometry_msgs/msg/Point", "geometry_msgs/msg/Vector3", "geometry_msgs/msg/Point32")
 _POSES = ("geometry_msgs/msg/Pose", "geometry_msgs/msg/Transform")
 
@@ -126,8 +127,8 @@ def _cloud(m: Any, points: str) -> Cloud:
 
 
 def _bodies(m: Any, items: str, path: tuple[str, str, str]) -> Features:
-    """Bodies whose key points have no names, but an order; there is room for those of the largest format, and what a
-    smaller one leaves is NaN or zero."""
+    """Bodies whose key points have no names, but an order. There is room for those of the largest format; what a
+    smaller one leaves, and what is hidden, is NaN or zero."""
     stamp, frame = _stamp(m)
     skeleton, points, place = path
     found = []
@@ -135,7 +136,9 @@ def _bodies(m: Any, items: str, path: tuple[str, str, str]) -> Features:
         at = np.array([getattr(p, place) for p in getattr(getattr(body, skeleton), points)], float).reshape(-1, 3)
         there = np.isfinite(at).all(1) & (at != 0).any(1)
         last = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
-        names = next((n for count in range(last, len(at) + 1) if (n := numbered_names(count))), ()) if last else ()
+        # the last points of a format are often hidden: what is there does not tell it
+        formats = (_ZED.get(getattr(body, "body_format", -1), 0), len(at), *_ZED.values())
+        names = next((n for count in formats if count >= last and (n := numbered_names(count))), ())
         who = next((getattr(body, k) for k in ("label_id", "tracking_id", "id") if hasattr(body, k)), number)
         found += [Named(f"body{who}:{n}", "", frame, stamp, p) for n, p, ok in zip(names, at, there) if ok]
     return features(stamp, found, 3)
