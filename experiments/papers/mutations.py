@@ -165,9 +165,9 @@ def _write(file: Path, text: str) -> None:
 
 
 def _passes(copy: Path, *tests: str) -> bool:
-    """Whether tests pass in a copy of the package. By a fork of this process, which has imported all that the package is
-    built on: that takes longer than a test."""
-    child = multiprocessing.get_context("fork").Process(target=_run, args=(copy, tests))
+    """Whether tests pass in a copy of the package. By a fork of a process that has imported all that the package is
+    built on, which takes longer than a test, and that has no threads: a fork of this one hangs once JAX has computed."""
+    child = multiprocessing.get_context("forkserver").Process(target=_run, args=(copy, tests))
     child.start()
     child.join()
     if child.exitcode not in (0, 1):
