@@ -2,6 +2,8 @@
 fixed frame. Poses of frames and kinds of distances are checked against planes in the first images.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from voodoo_jax.config.options import ReadSettings
@@ -22,6 +24,16 @@ LEVEL = np.cos(np.radians(15))  # so near to upwards a normal is a floor's; by h
 # degrees, or 2 centimetres, by which a floor is off level at most where transforms are right; and the probability that
 # they are where two contradict each other and nothing tells; by hand
 FITS, TORN = 2.5, 0.5
+
+
+class OffLevel(NamedTuple):
+    """How far floor and walls are off, in units of a degree or 2 centimetres; the first of several is the best."""
+
+    total: float
+    floor: float  # a part of it; the rest is of walls
+
+
+NOT_OFF, UNSEEN = OffLevel(0.0, 0.0), OffLevel(np.inf, np.inf)
 
 
 def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> LogReader:
@@ -74,8 +86,8 @@ def with_settled_frames(scan: Scan, settings: ReadSettings) -> LogReader:
         lines, off = [], []
         for k in range(len(ways)):
             lines.append(f'"{tree.choose(child, k)}"')
-            off.append(_off_floor(scan, settings))
-        best, *others = np.argsort(off, kind="stable").tolist()
+            off.append(_off_level(scan, settings))
+        best, *others = sorted(range(len(ways)), key=off.__getitem__)
         decisive = is_decisive(off[best], off[others[0]])
         best, *others = (best, *others) if decisive else range(len(ways))
         tree.choose(child, best)
@@ -104,17 +116,19 @@ def _planned(scan: Scan, settings: ReadSettings) -> LogReader:
     return LogReader(scan, make_plan(scan, settings), settings)
 
 
-def _off_floor(scan: Scan, settings: ReadSettings) -> float:
+def _off_level(scan: Scan, settings: ReadSettings) -> OffLevel:
     """`off_level` with the poses of frames that are chosen now; infinite where no frames can be made with them."""
     try:
         return off_level(_planned(scan, settings))
     except LogError:
-        return np.inf
+        return UNSEEN
 
 
-def is_decisive(best: float, other: float) -> bool:
-    """Whether the better of two poses of a sensor is right, by `off_level` of both."""
-    return best < FITS and other > 2 * max(best, FITS / 4)
+def is_decisive(best: OffLevel, other: OffLevel) -> bool:
+    """Whether the better of two poses of a sensor is right, by `off_level` of both. By how much all walls are off with
+    either is how the room lies in the frame."""
+    room = min(best.total - best.floor, other.total - other.floor) if np.isfinite(other.floor) else 0.0
+    return best.floor < FITS and other.total - room > 2 * max(best.total - room, FITS / 4)
 
 
 def with_images_as_shown(reader: LogReader) -> LogReader:
@@ -140,11 +154,11 @@ def with_images_as_shown(reader: LogReader) -> LogReader:
     return reader
 
 
-def off_level(reader: LogReader, topic: str = "") -> float:
+def off_level(reader: LogReader, topic: str = "") -> OffLevel:
     """Deviation of the floor in a depth camera's first image from level at height 0 of the fixed frame, in units of a
     degree or 2 centimetres; the best of all cameras, or that of one; infinite without a floor. Deviations of walls from
-    the axes of the frame, up to LEVEL, count a tenth: rooms are often measured along them."""
-    least = np.inf
+    the axes of the frame count a tenth: rooms are often measured along them."""
+    least = UNSEEN
     for name in (topic,) if topic else reader.sensors:
         found = calibrated(reader.scan.topics, name) if reader.is_image(name) else None
         at = int(reader.stamps(name)[0])
@@ -159,10 +173,10 @@ def off_level(reader: LogReader, topic: str = "") -> float:
         level = normals @ reader.up
         walls = normals[np.abs(level) < 0.2]
         aside = np.degrees(np.arccos(np.clip(np.abs(walls).max(1), 0, 1))).mean() if len(walls) else 0.0
-        aside = min(float(aside), float(np.degrees(np.arccos(LEVEL))))
         heights = float((pose[1] + reader.origin) @ reader.up) - seen.distances
         off = np.degrees(np.arccos(np.clip(level, -1, 1))) + np.abs(heights) / 0.02
-        least = min(least, float(off[level > LEVEL].min(initial=np.inf)) + 0.1 * aside)
+        floor = float(off[level > LEVEL].min(initial=np.inf))
+        least = min(least, OffLevel(floor + 0.1 * float(aside), floor))
     return least
 
 
