@@ -8,6 +8,7 @@ from tests.support.logs import START, Log, ros_cloud, ros_tf
 from tests.support.rooms import box, figure, room
 from voodoo_jax import read_log
 from voodoo_jax.config.options import ReadSettings
+from voodoo_jax.detect.camera_motion import moved, turned
 from voodoo_jax.detect.opening import Surface, correction, normals_of
 
 HOME, UP = np.array([0, 0.3, 1.2]), np.array([0, 0, 1.0])
@@ -65,6 +66,23 @@ def pose(words: str) -> np.ndarray:
     numbers, T = np.array(words.split()[2:], float), np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_quat(numbers[3:]).as_matrix(), numbers[:3]
     return T
+
+
+def test_level_surfaces_that_fit_hide_no_wrong_transform(rng):
+    """Nearly all that both see is a floor, which fits after any level shift; the rest are some boards."""
+    floor = np.column_stack([rng.uniform(0, 4, 4000), rng.uniform(-2, 2, 4000), np.zeros(4000)])
+    ups = [np.tile(UP, (4000, 1))]
+    boards = []
+    for place, yaw in (((3.0, 1.0), 20), ((3.5, -1.0), -50), ((2.0, 1.5), 75)):
+        turn = Rotation.from_euler("z", yaw, degrees=True).as_matrix()
+        flat = np.column_stack([np.zeros(120), rng.uniform(-0.3, 0.3, 120), rng.uniform(0.1, 0.9, 120)])
+        boards.append(flat @ turn.T + [*place, 0])
+        ups.append(np.tile(-turn[:, 0], (120, 1)))
+    whole = Surface(np.concatenate([floor, *boards]), np.concatenate(ups))
+    T = turned(np.array([0, 0, np.radians(4), 0.2, 0.1, 0]))
+    found, sure = correction(whole, [Surface(moved(whole.points, T), whole.normals @ T[:3, :3].T)] * 4, UP)
+    assert sure and np.abs(moved(moved(whole.points, T), found) - whole.points).max() < 0.08  # 0.4 unmoved
+    assert np.array_equal(correction(whole, [whole] * 4, UP)[0], np.eye(4))
 
 
 def test_right_transforms_are_left_alone(rng, tmp_path):

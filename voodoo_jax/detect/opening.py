@@ -25,7 +25,7 @@ from voodoo_jax.geometry.depth_edges import SMEARED, between_edges
 from voodoo_jax.geometry.voxels import Counted, cells_of
 from voodoo_jax.io.container import LogFile, Place
 from voodoo_jax.io.convert.sources import as_mcap
-from voodoo_jax.io.log_reader import TORN, LogReader, is_decisive, off_level, open_log, read_whole
+from voodoo_jax.io.log_reader import NOT_OFF, TORN, LogReader, is_decisive, off_level, open_log, read_whole
 from voodoo_jax.records.messages import Image
 from voodoo_jax.records.recording import Frame, Recording
 
@@ -60,7 +60,7 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
     if len(one_each) < 2:
         return reader
     given, coarse = reader.given_frames, reader.coarse(POINTS)
-    off = {topic: 0.0 if frame in given else off_level(reader, topic) for frame, topic in one_each.items()}
+    off = {topic: NOT_OFF if frame in given else off_level(reader, topic) for frame, topic in one_each.items()}
     first, *others = sorted(off, key=lambda topic: (reader.frame_name(topic) not in given, off[topic], topic))
     begun = max(int(reader.stamps(topic).min()) for topic in off)
     ended = min(int(reader.stamps(topic).max()) for topic in off)
@@ -114,12 +114,12 @@ class _Views(NamedTuple):
         normals = self.there.normals[nearest]
         return points, normals, np.sum((points - self.there.points[nearest]) * normals, 1)
 
-    def shared(self, T: np.ndarray, up: np.ndarray | None = None) -> float:
-        """The share of the points that lie on surfaces of the others; with `up`, only points on upright surfaces, since
-        level ones fit after any level shift."""
-        _, normal, off = self.matched(T, ON, 4)
+    def shared(self, T: np.ndarray, up: np.ndarray | None = None, near: float = OFF) -> float:
+        """The share of the points that lie `near` surfaces of the others, metres; with `up`, only points on upright
+        surfaces, since level ones fit after any level shift."""
+        _, normal, off = self.matched(T, 2 * near, 4)
         asked = np.concatenate([one.normals[::4] for one in self.mine])
-        on = np.clip(1 - (off / (2 * NOISE)) ** 2, 0, None) ** 2
+        on = np.clip(1 - (off / near) ** 2, 0, None) ** 2
         if up is not None:
             on, asked = on[np.abs(normal @ up) < FACING], asked[np.abs(asked @ up) < FACING]
         return float(on.sum() / max(len(asked), 1))
@@ -155,14 +155,14 @@ def correction(
         return STILL, True
     both = _Views(there, KDTree(there.points), tuple(mine))
     T, points = both.fitted(), np.concatenate([mine.points for mine in both.mine])[::10]
-    if _apart(points, T, STILL) < OFF:
+    if _apart(points, T, STILL) < OFF and both.shared(STILL, up) > SHARED:  # not only level ones, which always fit
         return STILL, True
     level = np.linalg.svd(up[None].astype(float))[2][1:]
     starts = [
         turned(np.concatenate([np.radians(yaw) * up, a * level[0] + b * level[1]]), both.middle) @ T
         for yaw in YAWS for a in SHIFTS for b in SHIFTS
     ]  # fmt: skip
-    best = sorted(starts, key=lambda start: -both.shared(start, up))[:TRIED]
+    best = sorted(starts, key=lambda start: -both.shared(start, up, SHIFTS[-1] / 2))[:TRIED]  # as near as they are
     fits = [T, *(both.fitted(start) for start in best)]
     shares = [both.shared(fit, up) for fit in fits]
     if max(shares) <= max(SHARED, BETTER * both.shared(STILL, up)):

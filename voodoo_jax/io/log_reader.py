@@ -2,6 +2,8 @@
 fixed frame. Poses of frames and kinds of distances are checked against planes in the first images.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from voodoo_jax.config.options import ReadSettings
@@ -24,6 +26,16 @@ LEVEL = np.cos(np.radians(15))  # so near to upwards a normal is a floor's; by h
 FITS, TORN = 2.5, 0.5
 
 
+class OffLevel(NamedTuple):
+    """How far floor and walls are off, in units of a degree or 2 centimetres; the first of several is the best."""
+
+    total: float
+    floor: float  # a part of it; the rest is of walls
+
+
+NOT_OFF, UNSEEN = OffLevel(0.0, 0.0), OffLevel(np.inf, np.inf)
+
+
 def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> LogReader:
     """Scans a log and plans its frames; `frames()` of the result then yields them one by one.
 
@@ -44,7 +56,7 @@ def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> Log
     if settings.pose_net:
         scan = with_key_points(scan, settings)
     try:
-        return with_images_as_shown(with_settled_frames(LogReader(scan, make_plan(scan, settings), settings)))
+        return with_images_as_shown(with_settled_frames(scan, settings))
     except LogError as problem:
         raise LogError(f"{damaged(scan, problem)} {scan.part_of}".strip()) from problem
 
@@ -63,27 +75,60 @@ def read_whole(log: LogReader) -> Recording:
     )  # fmt: skip
 
 
-def with_settled_frames(reader: LogReader) -> LogReader:
-    """The reader with one of the two poses of each frame about which two publishers disagree: the one with a level
-    floor at height 0, if visible."""
-    for child, both in reader.scan.tree.torn.items():
-        count = 2 * min(len(e.stamps) for e in both)
-        off, lines = zip(*((off_level(reader), line) for line in (reader.scan.tree.choose(child, k) for k in (0, 1))))
-        best = int(np.argmin(off))
-        reader.scan.tree.choose(child, best)
-        decisive = is_decisive(off[best], off[1 - best])
-        reader.sure *= 1.0 if decisive else TORN
+def with_settled_frames(scan: Scan, settings: ReadSettings) -> LogReader:
+    """A log's reader with one of the poses, or parents, of each frame about which publishers disagree: the one with a
+    level floor at height 0, if visible; else the first one."""
+    reader = _planned(scan, settings)
+    tree, sure, said = scan.tree, 1.0, []
+    for child, ways in tree.torn.items():
+        if reader.sensors and not any(child in tree.way(reader.frame_name(topic)) for topic in reader.sensors):
+            continue
+        lines, off = [], []
+        for k in range(len(ways)):
+            lines.append(f'"{tree.choose(child, k)}"')
+            off.append(_off_level(scan, settings))
+        best, *others = sorted(range(len(ways)), key=off.__getitem__)
+        decisive = is_decisive(off[best], off[others[0]])
+        best, *others = (best, *others) if decisive else range(len(ways))
+        tree.choose(child, best)
         why = "the floor is level with the one that is used" if decisive else "it is unknown which one is right"
-        reader.say(
-            f"Frame '{child}' jumps between two poses, {count} times: two publishers disagree about it; {why}. "
-            f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
+        parents = dict.fromkeys(way.parent for way in ways)
+        if len(parents) > 1:
+            names = " and ".join(f"'{name}'" for name in parents)
+            said.append(f"Frame '{child}' has {len(parents)} parents, {names}; '{ways[best].parent}' is used: {why}.")
+            continue
+        sure *= 1.0 if decisive else TORN
+        least = min(len(way.stamps) for way in ways)
+        count = f", {2 * least} times" if least else ""
+        rest = ", ".join(lines[k] for k in others)
+        said.append(
+            f"Frame '{child}' jumps between {len(ways)} poses{count}: publishers disagree about it; {why}. "
+            f"--read.transform {lines[best]} says so, {rest} that it is another."
         )
+    reader = _planned(scan, settings) if said else reader
+    reader.sure *= sure
+    for note in said:
+        reader.say(note)
     return reader
 
 
-def is_decisive(best: float, other: float) -> bool:
-    """Whether the better of two poses of a sensor is right, by `off_level` of both."""
-    return best < FITS and other > 2 * max(best, FITS / 4)
+def _planned(scan: Scan, settings: ReadSettings) -> LogReader:
+    return LogReader(scan, make_plan(scan, settings), settings)
+
+
+def _off_level(scan: Scan, settings: ReadSettings) -> OffLevel:
+    """`off_level` with the poses of frames that are chosen now; infinite where no frames can be made with them."""
+    try:
+        return off_level(_planned(scan, settings))
+    except LogError:
+        return UNSEEN
+
+
+def is_decisive(best: OffLevel, other: OffLevel) -> bool:
+    """Whether the better of two poses of a sensor is right, by `off_level` of both. By how much all walls are off with
+    either is how the room lies in the frame."""
+    room = min(best.total - best.floor, other.total - other.floor) if np.isfinite(other.floor) else 0.0
+    return best.floor < FITS and other.total - room > 2 * max(best.total - room, FITS / 4)
 
 
 def with_images_as_shown(reader: LogReader) -> LogReader:
@@ -109,11 +154,11 @@ def with_images_as_shown(reader: LogReader) -> LogReader:
     return reader
 
 
-def off_level(reader: LogReader, topic: str = "") -> float:
+def off_level(reader: LogReader, topic: str = "") -> OffLevel:
     """Deviation of the floor in a depth camera's first image from level at height 0 of the fixed frame, in units of a
     degree or 2 centimetres; the best of all cameras, or that of one; infinite without a floor. Deviations of walls from
     the axes of the frame count a tenth: rooms are often measured along them."""
-    least = np.inf
+    least = UNSEEN
     for name in (topic,) if topic else reader.sensors:
         found = calibrated(reader.scan.topics, name) if reader.is_image(name) else None
         at = int(reader.stamps(name)[0])
@@ -130,7 +175,8 @@ def off_level(reader: LogReader, topic: str = "") -> float:
         aside = np.degrees(np.arccos(np.clip(np.abs(walls).max(1), 0, 1))).mean() if len(walls) else 0.0
         heights = float((pose[1] + reader.origin) @ reader.up) - seen.distances
         off = np.degrees(np.arccos(np.clip(level, -1, 1))) + np.abs(heights) / 0.02
-        least = min(least, float(off[level > LEVEL].min(initial=np.inf)) + 0.1 * float(aside))
+        floor = float(off[level > LEVEL].min(initial=np.inf))
+        least = min(least, OffLevel(floor + 0.1 * float(aside), floor))
     return least
 
 

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from voodoo_jax.config.limited import PLACE, QUATERNION, TIME, limits
 
-# of a frame that jumps between two places: samples that tell it, how far (metres, with so many for a radian), how near
-# to where it was before (of the jump), and in how many of the samples; by hand
-FEWEST, JUMP, LEVER, SAME, OFTEN = 8, 0.03, 1.0, 0.25, 0.25
+# of a frame with several poses: jumps that tell it, how far (metres, with so many for a radian), how near to
+# where it was before (of the jump), and how many poses at most; by hand
+FEWEST, JUMP, LEVER, SAME, MOST = 8, 0.03, 1.0, 0.25, 4
 HOLD_NS = 500_000_000  # a moving transform is believed for this long before its first and after its last sample
 
 
@@ -68,6 +68,11 @@ class _Edge:
     translations: Float[np.ndarray, "sample 3"]
     rotations: Rotation
 
+    def away(self, other: "_Edge") -> float:
+        """How far its pose is from a static one, metres with LEVER for a turn; the median of its samples."""
+        q = other.rotations.as_quat()[:1]
+        return float(np.median(_away(self.translations, self.rotations.as_quat(), other.translations[:1], q)))
+
     def at(self, stamp_ns: int, hold_ns: int | None) -> tuple[np.ndarray, np.ndarray] | None:
         times = self.stamps
         if len(times) == 0:
@@ -87,21 +92,19 @@ class TransformTree:
     """All transforms of a log. Use `add`, then `close`, then `lookup`. `notes` list oddities."""
 
     def __init__(self):
-        self._samples: dict[tuple[str, str], list[_Samples]] = {}  # (child, parent)
-        self._static: set[tuple[str, str]] = set()
+        self._samples: dict[tuple[str, str], list[_Samples]] = {}  # (child, parent), of those that move
+        self._static: dict[tuple[str, str], list[_Edge]] = {}  # all different ones, the last one first
         self._given: dict[str, str] = {}  # parent, by child, of what a user gives
         self._edges: dict[str, _Edge] = {}
         self._cache: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]] = {}
         self._odd: Counter[str] = Counter()
         self._unused: dict[str, str] = {}  # frames that the log places, too, and where they are given
         self._near = "", np.zeros(3)  # the frame that is given from another origin, and where that is in it
-        self.torn: dict[
-            str, tuple[_Edge, ...]
-        ] = {}  # frames that jump between two places, and where they are by either
+        self.torn: dict[str, tuple[_Edge, ...]] = {}  # frames with contradicting poses or parents: all of them
         self.notes: list[str] = []
 
     def choose(self, child: str, which: int) -> str:
-        """Selects one of the two poses of a frame that jumps between them; returns its read.transform text."""
+        """Selects one of the poses of a frame that has several; returns its read.transform text."""
         edge = self._edges[child] = self.torn[child][which]
         self._cache.clear()
         return self.said(child, len(edge.stamps) // 2)
@@ -138,7 +141,8 @@ class TransformTree:
 
     def give(self, transform: Transform) -> None:
         """Adds a transform from the user, which overrides the log's for the whole log."""
-        self._given.pop(transform.child, None)  # one that was given before
+        if self._given.pop(transform.child, None) is not None:  # one that was given before
+            self._static = {key: ways for key, ways in self._static.items() if key[0] != transform.child}
         self.add(transform, True)
         self._given[transform.child] = transform.parent
 
@@ -169,41 +173,29 @@ class TransformTree:
         if key not in self._samples and len(self._samples) >= limits().names:
             self._odd[f"transforms beyond those of {limits().names} frames were left out (--limits.names)"] += count
             return
-        if static:
-            if key in self._static and not np.allclose(
-                self._samples[key][-1].numbers[-1], samples.numbers[0], atol=1e-9, rtol=0
-            ):
-                self._odd["times a static transform changed; its last value is used for the whole log"] += 1
-            self._static.add(key)
-            self._samples[key] = [samples]
-        elif key not in self._static:
-            self._samples.setdefault(key, []).append(samples)
+        own = self._samples.setdefault(key, [])
+        if not static:
+            own.append(samples)
+            return
+        way, ways = _edge(parent, samples.stamps[:0], samples.numbers), self._static.setdefault(key, [])
+        if ways and way.away(ways[0]) > 1e-9:
+            self._odd["times a static transform changed; its last value is used for the whole log"] += 1
+        if len(ways) > MOST:  # it moves
+            ways[0] = way
+        else:
+            ways[:] = [way, *(other for other in ways if way.away(other) > JUMP)]
 
     def close(self) -> None:
-        """Sorts the samples and selects one parent for each frame."""
+        """Sorts the samples, finds the poses of each frame, and selects the first one."""
+        ways: dict[str, list[_Edge]] = {}
         for (child, parent), samples in self._samples.items():
-            if child in self._edges:
-                other = self._edges[child].parent
-                self.notes.append(f"Frame '{child}' has two parents, '{other}' and '{parent}'; the first is used.")
-                continue
-            stamps, numbers = (np.concatenate(parts) for parts in zip(*samples))
-            samples.clear()
-            # Stable sort, then the last of equal stamps: a later message corrects an earlier one.
-            order = np.argsort(stamps, kind="stable")
-            kept = order[np.append(np.diff(stamps[order]) != 0, True)]
-            stamps, translations, quaternions = stamps[kept], numbers[kept, :3].copy(), numbers[kept, 3:].copy()
-            quaternions[(quaternions == 0).all(1)] = [0, 0, 0, 1]
-            if max(np.ptp(translations, axis=0).max(), np.ptp(quaternions, axis=0).max()) < 1e-9:
-                # never moves; Foxglove has no word for static, and such logs may give it only once
-                stamps, translations, quaternions = stamps[:1], translations[:1], quaternions[:1]
-            moving = stamps if len(stamps) > 1 else stamps[:0]
-            self._edges[child] = _Edge(parent, moving, translations, Rotation.from_quat(quaternions))
-            if (second := to_and_fro(translations, quaternions)) is not None:
-                self.torn[child] = tuple(
-                    _Edge(parent, stamps[own], translations[own], Rotation.from_quat(quaternions[own]))
-                    for own in (~second, second)
-                )
-                self._edges[child] = self.torn[child][0]
+            found = self._static.get((child, parent), [])
+            found = found[:1] if len(found) > MOST else found
+            if samples:
+                found = found + [way for way in _moving(parent, samples) if not found or way.away(found[0]) > JUMP]
+            ways.setdefault(child, []).extend(found)
+        self._edges = {child: found[0] for child, found in ways.items()}
+        self.torn = {child: tuple(found) for child, found in ways.items() if len(found) > 1}
         for child, parent in self._unused.items():
             self.notes.append(f"Frame '{child}' has the pose in '{parent}' of read.transform, not of the log.")
         self.notes += [f"{n} {what}." for what, n in self._odd.items()]
@@ -216,7 +208,7 @@ class TransformTree:
 
     def moving_between(self, a: str, b: str) -> set[str]:
         """Frames on the way between two that move in their parents."""
-        way = set(self._up(a)) ^ set(self._up(b))
+        way = set(self.way(a)) ^ set(self.way(b))
         return {frame for frame in way if frame in self._edges and len(self._edges[frame].stamps)}
 
     @property
@@ -229,7 +221,7 @@ class TransformTree:
         """Names of all frames, sorted."""
         return tuple(sorted({*self._edges, *(e.parent for e in self._edges.values())}))
 
-    def _up(self, frame: str) -> list[str]:
+    def way(self, frame: str) -> list[str]:
         """The frame and its ancestors; a loop in a bad log ends the way."""
         way = [frame]
         while way[-1] in self._edges and self._edges[way[-1]].parent not in way:
@@ -238,7 +230,7 @@ class TransformTree:
 
     def root(self, frame: str) -> str:
         """The top of the tree that holds `frame`; the frame itself if it has no parent."""
-        return self._up(frame)[-1]
+        return self.way(frame)[-1]
 
     def connected(self, a: str, b: str) -> bool:
         """Whether the log has a chain of transforms between two frames."""
@@ -253,7 +245,7 @@ class TransformTree:
         """
         if (target, source) in self._cache:
             return self._cache[target, source]
-        below, above = self._up(source), self._up(target)
+        below, above = self.way(source), self.way(target)
         meet = next((frame for frame in below if frame in above), None)
         if meet is None:
             return None
@@ -276,28 +268,59 @@ class TransformTree:
         return result
 
 
+def _edge(parent: str, stamps: np.ndarray, numbers: np.ndarray) -> _Edge:
+    translations, quaternions = numbers[:, :3].copy(), numbers[:, 3:].copy()
+    quaternions[(quaternions == 0).all(1)] = [0, 0, 0, 1]
+    return _Edge(parent, stamps, translations, Rotation.from_quat(quaternions))
+
+
+def _moving(parent: str, samples: list[_Samples]) -> list[_Edge]:
+    """A moving frame: one edge, or one for each of the publishers who disagree about it."""
+    stamps, numbers = (np.concatenate(parts) for parts in zip(*samples))
+    samples.clear()
+    # Stable sort, then the last of equal stamps: a later message corrects an earlier one.
+    order = np.argsort(stamps, kind="stable")
+    kept = order[np.append(np.diff(stamps[order]) != 0, True)]
+    stamps, numbers = stamps[kept], numbers[kept]
+    if np.ptp(numbers, axis=0).max() < 1e-9:
+        # never moves; Foxglove has no word for static, and such logs may give it only once
+        stamps, numbers = stamps[:1], numbers[:1]
+    edge = _edge(parent, stamps if len(stamps) > 1 else stamps[:0], numbers)
+    which = to_and_fro(edge.translations, edge.rotations.as_quat())
+    if which is None:
+        return [edge]
+    return [_edge(parent, stamps[which == k], numbers[which == k]) for k in range(which.max() + 1)]
+
+
+def _away(p: np.ndarray, q: np.ndarray, other_p: np.ndarray, other_q: np.ndarray) -> np.ndarray:
+    """How far poses are from others, metres; `q` of length 1."""
+    turn = 2 * np.arccos(np.clip(np.abs((q * other_q).sum(-1)), 0, 1))
+    return np.linalg.norm(p - other_p, axis=-1) + LEVER * turn
+
+
 def to_and_fro(
     translations: Float[np.ndarray, "sample 3"], quaternions: Float[np.ndarray, "sample 4"]
-) -> Bool[np.ndarray, " sample"] | None:
-    """For a frame that jumps repeatedly between two poses (of two publishers): which samples have another pose than the
-    first one. None for others."""
-    if len(translations) < FEWEST:
+) -> Int64[np.ndarray, " sample"] | None:
+    """For a frame that jumps repeatedly between a few poses (of several publishers, at any rates; each may move): which
+    of them each sample has. None for others."""
+    p, q = translations, quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    step = _away(p[1:], q[1:], p[:-1], q[:-1])
+    jumps = np.flatnonzero(step > JUMP)
+    if len(jumps) < FEWEST:
         return None
-    q = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-
-    def away(a: slice, b: slice) -> np.ndarray:
-        turn = 2 * np.arccos(np.clip(np.abs((q[a] * q[b]).sum(1)), 0, 1))
-        return np.linalg.norm(translations[a] - translations[b], axis=1) + LEVER * turn
-
-    step = away(slice(1, None), slice(None, -1))
-    back = np.full(len(step), np.inf)
-    for skip in (2, 3, 4):
-        found = away(slice(skip, None), slice(None, -skip))
-        back[: len(found)] = np.minimum(back[: len(found)], found)
-    jumps = step > JUMP
-    if (jumps & (back < SAME * step)).mean() < OFTEN:
-        return None
-    return np.append(False, np.cumsum(jumps) % 2 == 1)
+    which, now = np.zeros(len(p), np.int64), 0
+    last = np.array([jumps[0]])  # sample of each pose
+    for jump, to in zip(jumps, [*jumps[1:], len(p) - 1]):
+        last[now] = jump
+        back = _away(p[last], q[last], p[jump + 1], q[jump + 1])
+        back[now] = np.inf
+        now = int(back.argmin())
+        if back[now] >= SAME * step[jump]:
+            now, last = len(last), np.append(last, to)
+        if len(last) > MOST:
+            return None
+        which[jump + 1 : to + 1] = now
+    return which
 
 
 def plausible(
