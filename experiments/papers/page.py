@@ -20,7 +20,7 @@ The papers had no ground truth: their results were graded by eye, on real people
 real human motions on body meshes, seen by simulated sensors with noise, with known joints. So adjacent rows are results on
 different data.
 
-All results are from 2026-11-27, with every second of 18 recordings (`--every 2`) on a loaded machine. Compare times only
+All results are from 2026-11-28, with every second of 18 recordings (`--every 2`) on a loaded machine. Compare times only
 with each other.
 
 ## VooDoo: setup
