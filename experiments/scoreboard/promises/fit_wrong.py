@@ -39,7 +39,8 @@ PROMISE = Promise(
         Figure("segments after, cm", None, tolerance=0.2),
         Figure("segments, after of before", 0.5, tolerance=0.06),
         Figure("joints before, cm", None),
-        Figure("joints after, cm", None, tolerance=0.15),
+        # of one log (quick) 1.56 with one thread, 1.95 with two, 1.73 on another processor, by the same code
+        Figure("joints after, cm", None, tolerance=0.45),
     ),
     jobs=jobs,
     measure=measure,
