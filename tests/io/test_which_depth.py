@@ -59,14 +59,6 @@ def test_brightness_and_confidence_are_no_depth(depth, other, tmp_path):
     assert alone.sensors == (other,)
 
 
-def test_flags_are_no_wall(tmp_path):
-    """An image of flags, or one that is saturated, is the same everywhere, as a wall straight ahead would be."""
-    flags = lambda z, i: 5.0 + 0.01 * np.random.default_rng(i).integers(0, 2, SIZE)  # noqa: E731
-    path = log(tmp_path / "a.mcap", {"/camera/a": flags, "/camera/z": lambda z, i: z})
-    reader = open_log(path)
-    assert reader.sensors == ("/camera/z",) and any("'/camera/a' is left out: no depth" in n for n in reader.notes)
-
-
 def test_of_two_depth_images_of_a_camera_one_is_used(tmp_path):
     path = log(tmp_path / "a.mcap", {"/camera/depth": lambda z, i: z, "/camera/filtered": lambda z, i: z})
     assert open_log(path).sensors == ("/camera/depth",)

@@ -70,13 +70,11 @@ def planes(ways: Float[np.ndarray, "pixel 3"], depth: Float[np.ndarray, " pixel"
             best = np.abs(x @ plane - y) < NEAR * y
         if best.sum() < max(3, WIDE * len(depth)):
             break
-        left = left[~best]
-        if np.ptp(x[best] @ plane) < 2 * NEAR * y[best].mean():
-            continue  # values that are all the same, as of flags, are a plane across the view, too
         length = float(np.linalg.norm(plane))
         normals.append(-plane / length)
         distances.append(1 / length)
         shares.append(best.sum() / len(depth))
+        left = left[~best]
     return Planes(np.array(normals).reshape(-1, 3), np.array(distances), np.array(shares))
 
 
