@@ -110,7 +110,7 @@ def test_what_the_surfaces_leave_open_is_doubted(rng, walls, sure):
 
 
 def test_normals_as_by_eigenvectors(rng):
-    patches = rng.normal(size=(50, 12, 3)) * [1, 0.7, 0.05] @ Rotation.random(rng=1).as_matrix()
+    patches = rng.normal(size=(50, 12, 3)) * [1, 0.7, 0.05] @ Rotation.random(rng=np.random.default_rng(1)).as_matrix()
     patches -= patches.mean(1, keepdims=True)
     normals, flat = normals_of(patches)
     least = np.linalg.eigh(np.einsum("kpi,kpj->kij", patches, patches))[1][:, :, 0]
