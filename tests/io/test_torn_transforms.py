@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tests.io.test_which_depth import BODY, DOWN, HEIGHT, SIZE, K, room
 from tests.support.logs import START, Log, ros_calibration, ros_image, ros_tf
 from voodoo_jax.io.log_reader import open_log, read_log
-from voodoo_jax.io.transforms import to_and_fro
+from voodoo_jax.io.transforms import Transform, TransformTree, to_and_fro
 
 
 def log(path, other, count=12):
@@ -95,3 +95,13 @@ def test_of_two_parents_the_one_with_a_level_floor_is_taken(tmp_path):
 def test_a_static_transform_that_is_given_again_or_elsewhere_is_no_contradiction(tmp_path):
     found = open_log(stated(tmp_path / "a.mcap", *[("/tf_static", "room", LEVEL)] * 2, ("/tf", "room", LEVEL)))
     assert found.sure == 1.0 and not any("disagree" in note for note in found.notes)
+
+
+def test_a_static_transform_that_is_repeated_has_not_changed():
+    """Whatever its rotation: angles by arc cosines are some 1e-8 off for some of them."""
+    tree = TransformTree()
+    for k, q in enumerate(Rotation.random(2000, rng=np.random.default_rng(0)).as_quat()):
+        for stamp in (START, START + 10**9):
+            tree.add(Transform(stamp, "room", f"frame{k}", np.array([1.0, 2.0, 0.5]), q), True)
+    tree.close()
+    assert not tree.notes and not tree.torn

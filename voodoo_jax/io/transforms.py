@@ -178,12 +178,13 @@ class TransformTree:
             own.append(samples)
             return
         way, ways = _edge(parent, samples.stamps[:0], samples.numbers), self._static.setdefault(key, [])
-        if ways and way.away(ways[0]) > 1e-9:
+        away = [way.away(other) for other in ways]
+        if away and away[0] > 1e-9:
             self._odd["times a static transform changed; its last value is used for the whole log"] += 1
         if len(ways) > MOST:  # it moves
             ways[0] = way
         else:
-            ways[:] = [way, *(other for other in ways if way.away(other) > JUMP)]
+            ways[:] = [way, *(other for other, off in zip(ways, away) if off > JUMP)]
 
     def close(self) -> None:
         """Sorts the samples, finds the poses of each frame, and selects the first one."""
@@ -294,7 +295,9 @@ def _moving(parent: str, samples: list[_Samples]) -> list[_Edge]:
 
 def _away(p: np.ndarray, q: np.ndarray, other_p: np.ndarray, other_q: np.ndarray) -> np.ndarray:
     """How far poses are from others, metres; `q` of length 1."""
-    turn = 2 * np.arccos(np.clip(np.abs((q * other_q).sum(-1)), 0, 1))
+    # by the chord between quaternions: by their product equal ones may be 4e-8 apart
+    chord = np.minimum(np.linalg.norm(q - other_q, axis=-1), np.linalg.norm(q + other_q, axis=-1))
+    turn = 4 * np.arcsin(np.clip(chord / 2, 0, 1))
     return np.linalg.norm(p - other_p, axis=-1) + LEVER * turn
 
 

@@ -29,7 +29,7 @@ class Runner(FrameRunner):
     def __init__(self, *given: Any, **named: Any):
         super().__init__(*given, **named)
         self.known = False  # whether the body has had its size from the beginning
-        self.seen: dict[int, Seen | None] = {}  # by the learned eye, by the frame's time
+        self.seen: dict[int, Seen | None] = {}  # persons seen by the learned eye, by the time of the frame
         self.stances: dict[int, Stance] = {}  # that segments began in, by first frame, the last time they were tracked
 
     def can_start(self, at: int) -> bool:
