@@ -52,7 +52,7 @@ def main(
         chosen = [p for p in chosen if p.gates]
     found = measure(chosen, Data(recordings and recordings.resolve(), quick, others, draw), processes)
     old = kept.load()
-    before = kept.figures(old, quick)
+    before = kept.figures(old, quick, kept.processor())
     print(kept.shown(found, before))
     for one in found:
         if one.why:

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 Figures = dict[str, float]
+# the committed figures by promise: those of this processor, or of each that is known where it has none
+Before = Mapping[str, Sequence[Mapping[str, float]]]
 
 
 class Job(Hashable, Protocol):
@@ -105,23 +107,20 @@ def verdict(figure: Figure, value: float) -> str:
     return "told" if figure.limit is None else "kept" if figure.kept(value) else "**broken**"
 
 
-def fallen(found: Sequence[Measured], before: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """A line for each figure that is worse than before by more than its tolerance, or that is missing now.
-
-    **Arguments:** `before` values by promise and figure, as the committed file holds them.
-    """
+def fallen(found: Sequence[Measured], before: Before) -> list[str]:
+    """A line for each figure that is worse than before by more than its tolerance, or that is missing now. Where there
+    are figures of several processors, it is worse than each of them."""
     lines = []
     for one in found:
-        old = before.get(one.promise.name, {})
         for figure in one.promise.figures:
-            if figure.name not in old or math.isinf(figure.tolerance):
-                continue
+            olds = [old[figure.name] for old in before.get(one.promise.name, ()) if figure.name in old]
             value = one.values.get(figure.name, math.nan)
-            if figure.fallen(value, old[figure.name]):
+            if olds and all(figure.fallen(value, old) for old in olds):
                 allowed = f"{100 * figure.tolerance:g} %" if figure.relative else f"{figure.tolerance:g}"
+                was = " and ".join(figure.text(old) for old in olds)
                 lines.append(
-                    f"{one.promise.name}: {figure.name} is {figure.text(value)}, was "
-                    f"{figure.text(old[figure.name])} (at most {allowed} worse is allowed)"
+                    f"{one.promise.name}: {figure.name} is {figure.text(value)}, was {was} "
+                    f"(at most {allowed} worse is allowed)"
                 )
     return lines
 
@@ -133,11 +132,11 @@ def limit_text(figure: Figure) -> str:
     return f"{'≤' if figure.better == 'less' else '≥'} {figure.limit:g}"
 
 
-def rows(found: Sequence[Measured], before: Mapping[str, Mapping[str, float]]) -> list[list[str]]:
+def rows(found: Sequence[Measured], before: Before) -> list[list[str]]:
     """A row for each figure: promise, figure, limit, last, now, verdict."""
     out = []
     for one in found:
-        old = before.get(one.promise.name, {})
+        old = next(iter(before.get(one.promise.name, ())), {})
         name = one.promise.name
         if not one.values:
             out.append([name, one.why, "", "", "", "not measured"])

@@ -11,7 +11,7 @@ from typing import Any
 
 from experiments.bench.replay_speed import machine
 from experiments.common import table
-from experiments.scoreboard.board import Measured, Promise, limit_text, rows, verdict
+from experiments.scoreboard.board import Before, Measured, Promise, limit_text, rows, verdict
 
 FOLDER = Path(__file__).parents[1]
 FILE, PAGE = FOLDER / "scoreboard.json", FOLDER / "scoreboard.md"
@@ -31,11 +31,22 @@ def load() -> dict[str, Any]:
     return json.loads(FILE.read_text()) if FILE.exists() else {}
 
 
-def figures(kept: dict[str, Any], quick: bool) -> dict[str, dict[str, float]]:
-    """Values by promise and figure of the full or the quick measurement; NaN: could not be measured."""
+def figures(kept: dict[str, Any], quick: bool, cpu: str) -> dict[str, list[dict[str, float]]]:
+    """Values by promise and figure of the full or the quick measurement; NaN: could not be measured. Those of a
+    processor of that name alone, or of all that are known: rounding differs between processors, and so do figures."""
     mode = kept.get("quick" if quick else "full", {})
     nan = lambda value: math.nan if value is None else value  # noqa: E731
-    return {name: {k: nan(v) for k, v in one["figures"].items()} for name, one in mode.items()}
+    found = {}
+    for name, one in mode.items():
+        by_cpu = {one["cpu"]: one, **one.get("elsewhere", {})}
+        chosen = [by_cpu[cpu]] if cpu in by_cpu else by_cpu.values()
+        found[name] = [{k: nan(v) for k, v in c["figures"].items()} for c in chosen]
+    return found
+
+
+def processor() -> str:
+    """Name of this machine's processor."""
+    return str(machine()["cpu"])
 
 
 def commit() -> str:
@@ -45,14 +56,20 @@ def commit() -> str:
 
 
 def merged(kept: dict[str, Any], found: Sequence[Measured], quick: bool, everything: bool) -> dict[str, Any]:
-    """The file with the promises that were measured put in; promises that are gone are left out if all were asked."""
+    """The file with the promises that were measured put in; promises that are gone are left out if all were asked. The
+    last figures of other processors are kept beside those of this one."""
     mode = "quick" if quick else "full"
-    old = {} if everything else dict(kept.get(mode, {}))
+    before = kept.get(mode, {})
+    old, cpu = {} if everything else dict(before), processor()
     stamp = {"commit": commit(), "date": date.today().isoformat()}
     for one in found:
         if one.values:
             number = {k: None if math.isnan(v) else round(v, 6) for k, v in one.values.items()}
-            old[one.promise.name] = {**stamp, "seconds": round(one.seconds, 1), "figures": number}
+            last = before.get(one.promise.name)
+            others = {} if last is None else {last["cpu"]: last, **last.get("elsewhere", {})}
+            elsewhere = {c: {k: o[k] for k in (*stamp, "figures")} for c, o in others.items() if c != cpu}
+            row = {**stamp, "cpu": cpu, "seconds": round(one.seconds, 1), "figures": number}
+            old[one.promise.name] = row | ({"elsewhere": elsewhere} if elsewhere else {})
             if one.details:
                 old[one.promise.name]["details"] = list(one.details)
     versions = {name: version(name) for name in LIBRARIES}
@@ -81,11 +98,11 @@ def page_text(kept: dict[str, Any], promises: Sequence[Promise]) -> str:
             for f in promise.figures:
                 value = one["figures"].get(f.name)
                 said = verdict(f, math.nan if value is None else value)
-                lines.append([name, f.name, limit_text(f), f.text(value), said, one["commit"], one["date"]])
+                lines.append([name, f.name, limit_text(f), f.text(value), said, one["commit"], one["date"], one["cpu"]])
                 name = ""
         on = kept[f"{mode}_measured_on"]
         where = ", ".join(f"{k} {v}" for k, v in (*on["machine"].items(), *on["versions"].items()))
-        head = ["promise", "figure", "limit", "measured", "verdict", "commit", "date"]
+        head = ["promise", "figure", "limit", "measured", "verdict", "commit", "date", "processor"]
         parts.append(f"## {title}\n\n{table(head, lines, left=2)}\nMeasured on: {where}.\n")
         parts += [
             f"{name}:\n\n" + "".join(f"* {line}\n" for line in one["details"])
@@ -98,6 +115,6 @@ def page_text(kept: dict[str, Any], promises: Sequence[Promise]) -> str:
     return "\n".join(parts)
 
 
-def shown(found: Sequence[Measured], before: dict[str, dict[str, float]]) -> str:
+def shown(found: Sequence[Measured], before: Before) -> str:
     """The table that is printed."""
     return table(HEAD, rows(found, before), left=2)
