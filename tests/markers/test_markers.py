@@ -14,7 +14,7 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.markers.diagnostics import in_few_lines
-from voodoo_jax.markers.first_pose import agreed, first_pose, rigid
+from voodoo_jax.markers.first_pose import agreed, first_poses, rigid
 from voodoo_jax.markers.own_sites import named_subject
 from voodoo_jax.markers.priors import Chain, Priors
 from voodoo_jax.markers.size_fit import Fit, Markers, personal
@@ -322,13 +322,20 @@ def test_rigid_and_agreed(rng):
     assert found[2] == pytest.approx(1.2, abs=0.02)
 
 
-def test_first_pose(moving):
+def test_first_poses(moving):
+    """Of several frames at once, each as if it were alone; some points of the second one are missing."""
     body, frames, joints = moving
     rows = np.array([body.topology.sites.index(PLUG_IN_GAIT[n]) for n in frames[0]])
-    data = np.array(list(frames[70].values()))
-    q, at, _ = first_pose(body, rows, data, np.ones(len(rows), bool))
-    found = np.asarray(joint_centres(body, Poses(q.astype(np.float32), at.astype(np.float32))))
-    assert np.linalg.norm(found - joints[70], axis=-1).mean() < 0.06
+    data, seen = np.array([list(frames[k].values()) for k in (70, 40)]), np.ones((2, len(rows)), bool)
+    seen[1, ::5], data[1, ::5] = False, np.nan
+    turn, at, scale = first_poses(body, rows, data, seen)
+    q = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(*turn.shape[:2], 4)
+    for k, frame in enumerate((70, 40)):
+        found = np.asarray(joint_centres(body, Poses(q[k].astype(np.float32), at[k].astype(np.float32))))
+        assert np.linalg.norm(found - joints[frame], axis=-1).mean() < 0.06
+    alone = first_poses(body, rows[seen[1]], data[1:][:, seen[1]], seen[1:][:, seen[1]])
+    for both, one in zip((turn, at, scale), alone):
+        np.testing.assert_allclose(both[1], one[0], atol=1e-9)
 
 
 def test_newington_hips():
@@ -360,7 +367,7 @@ def test_derivatives(rng):
     turn = Rotation.random(body.limb_count, rng=rng).as_matrix()[None]
     root = rng.normal(size=(1, 3))
     n, h = len(rows), 1e-6
-    by_pose, by_x = chain.slopes(chain.sized(x), chain.sized_by(x), turn)
+    by_pose, by_x = chain.slopes(x, turn)
     for k in rng.permutation(chain.unknowns)[:40]:
         e = h * np.eye(chain.unknowns)[k]
         ahead, behind = (chain.points(chain.sized(x + s * e), turn, root)[:, :n] for s in (1, -1))
@@ -369,7 +376,7 @@ def test_derivatives(rng):
         np.testing.assert_allclose(priors.slope(x)[:, k], slope, atol=1e-3)
     small = pose_body(body, body.rest[0], rng.normal(0, 0.5, (len(body.topology.joints), 3)))
     turn = Rotation.from_quat(np.asarray(small.rotation), scalar_first=True).as_matrix()[None]
-    by_pose, _ = chain.slopes(chain.sized(x), chain.sized_by(x), turn)
+    by_pose, _ = chain.slopes(x, turn)
     by_turn = chain.angles(turn)[1]
     for k in range(3 * body.limb_count):
         spin = Rotation.from_rotvec(h * np.eye(3 * body.limb_count)[k].reshape(-1, 3)).as_matrix()

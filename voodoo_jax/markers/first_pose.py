@@ -5,13 +5,15 @@ The rest pose is aligned with the points by consensus (random samples of three).
 joint, from the root outwards, to its own points and those of its children. Wrong names are outvoted.
 """
 
+from collections import defaultdict
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.landmarks import named_points
-from voodoo_jax.model.body import Body, tree_order
+from voodoo_jax.model.body import Body, Topology, tree_order
 
 TO_START = 6  # named points of known places in a frame to start from
 
@@ -29,12 +31,10 @@ def rigid(
     return turn, d - np.einsum("...ij,...j->...i", turn, m)
 
 
-def _robust(model, data, weight, reach: float, turn=None, shift=None):
+def _robust(model, data, weight, reach, turn, shift):
     """rigid(), repeated with points that disagree counting less; `reach` metres count a quarter."""
-    if turn is None:
-        turn, shift = rigid(model, data, weight)
     for _ in range(8):
-        e2 = np.sum((model @ turn.T + shift - data) ** 2, -1)
+        e2 = np.sum((model @ np.swapaxes(turn, -1, -2) + shift[..., None, :] - data) ** 2, -1)
         turn, shift = rigid(model, data, weight * geman_mcclure(e2, reach))
     return turn, shift
 
@@ -66,62 +66,71 @@ def agreed(
     return turn, shift, factor
 
 
-def first_pose(
+def first_poses(
     body: Body,
     rows: Int[np.ndarray, " point"],
-    data: Float[np.ndarray, "point 3"],
-    seen: Bool[np.ndarray, " point"],
+    data: Float[np.ndarray, "frame point 3"],
+    seen: Bool[np.ndarray, "frame point"],
     scaled_by: float | None = None,
     trust: Float[np.ndarray, " point"] | None = None,
-) -> tuple[Float[np.ndarray, "limb 4"], Float[np.ndarray, "limb 3"], float]:
-    """Rotations (wxyz) and places of the limbs from named points, and the scale relative to the body's.
+) -> tuple[Float[np.ndarray, "frame limb 3 3"], Float[np.ndarray, "frame limb 3"], Float[np.ndarray, " frame"]]:
+    """Rotations and places of the limbs in each frame from named points, and the scale relative to the body's.
 
     **Arguments:** `rows` of kernels.landmarks.named_points; `data` world frame, metres; `seen` False: missing.
     `scaled_by` the scale, if it is known; `trust` weights of the points, 1 where their places on the body are known.
-    Needs three points that are seen.
+    Needs three points that are seen in each frame.
     """
     limbs, places = (np.asarray(x) for x in named_points(body))
-    limb, place, data = limbs[rows[seen]], places[rows[seen]].astype(np.float64), data[seen].astype(np.float64)
+    limb, place = limbs[rows], places[rows].astype(np.float64)
+    data = np.where(seen[..., None], data, 0.0).astype(np.float64)
+    t = body.topology
     rest_turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True).as_matrix()
     rest_at = np.asarray(body.rest.translation, np.float64)
     model = np.einsum("pij,pj->pi", rest_turn[limb], place) + rest_at[limb]
-    trust = np.ones(len(limb)) if trust is None else trust[seen]
-    sure = trust >= 1 if (trust >= 1).sum() >= TO_START else np.ones(len(limb), bool)
-    turn, shift, factor = agreed(model[sure], data[sure], scaled_by)
+    trust = np.ones(len(limb)) if trust is None else trust
+    sure = seen & (trust >= 1)
+    sure = np.where(sure.sum(1, keepdims=True) >= TO_START, sure, seen)
+    begun = [agreed(model[use], points[use], scaled_by) for use, points in zip(sure, data)]
+    turn, shift, factor = (np.stack(x) for x in zip(*begun))
+    f, weight = factor[:, None, None], seen * trust
+    model = f * model  # [frame, point, 3]
+    middle = (seen[..., None] * model).sum(1) / seen.sum(1)[:, None]
+    held = (middle, (turn @ middle[..., None])[..., 0] + shift, turn)
     # world rotation of the rest pose's frame, limb by limb; place of its joint
-    mine = model, data, limb, trust
-    turns = {0: _limb_turn(*mine, [0], [], factor, turn, shift)}
-    root_turn, root_shift = turns[0]
-    out_turn, out_at = np.zeros((body.limb_count, 3, 3)), np.zeros((body.limb_count, 3))
-    out_turn[0], out_at[0] = root_turn @ rest_turn[0], factor * root_turn @ rest_at[0] + root_shift
-    t = body.topology
-    parent_at, child_at = (np.asarray(a.translation, np.float64) for a in (body.parent_anchor, body.child_anchor))
-    for j in tree_order(t):
-        p, c = t.parents[j], t.children[j]
-        joint_model = rest_turn[p] @ parent_at[j] + rest_at[p]
-        joint = out_turn[p] @ (factor * parent_at[j]) + out_at[p]
-        before = turns[p][0]
-        children = [t.children[k] for k in range(len(t.joints)) if t.parents[k] == c]
-        pin = (joint_model, joint, before)
-        turns[c] = _limb_turn(*mine, [c], children, factor, before, joint - factor * before @ joint_model, pin)
-        out_turn[c] = turns[c][0] @ rest_turn[c]
-        out_at[c] = joint - out_turn[c] @ (factor * child_at[j])
-    q = Rotation.from_matrix(out_turn).as_quat(scalar_first=True)
-    return q, out_at, factor
+    turns, out_at = (np.zeros((len(data), body.limb_count, *shape)) for shape in ((3, 3), (3,)))
+    turns[:, 0], root = _turned(model, data, weight * (limb == 0), *held, 0.1, 0.0)
+    out_at[:, 0] = (turns[:, 0] @ (factor[:, None] * rest_at[0])[..., None])[..., 0] + root
+    parents, children = np.array(t.parents, int), np.array(t.children, int)
+    on_parent, on_child = (np.asarray(a.translation, np.float64) for a in (body.parent_anchor, body.child_anchor))
+    below = parents == children[:, None]  # [joint, joint]: hangs on the same limb
+    own = 1.0 * (limb == children[:, None]) + 0.15 * np.stack([np.isin(limb, children[b]) for b in below])
+    for joints in _levels(t):
+        p, c = parents[joints], children[joints]
+        at = f * (np.einsum("jab,jb->ja", rest_turn[p], on_parent[joints]) + rest_at[p])
+        placed = np.einsum("fjab,fjb->fja", turns[:, p] @ rest_turn[p], f * on_parent[joints]) + out_at[:, p]
+        held = (at, placed, turns[:, p])
+        turns[:, c], _ = _turned(model[:, None], data[:, None], weight[:, None] * own[joints], *held, 0.02, 8.0)
+        out_at[:, c] = placed - np.einsum("fjab,fjb->fja", turns[:, c] @ rest_turn[c], f * on_child[joints])
+    return turns @ rest_turn, out_at, factor
 
 
-# 10 parameters: results of the limbs before this one
-def _limb_turn(model, data, limb, trust, own, children, factor, turn, shift, pin=None):
-    """A limb's rotation and translation from the rest pose: by its own points, weakly by its children's, held by the
-    joint and weakly by the parent's rotation (root: by the whole body's)."""
-    mine, theirs = np.isin(limb, own), np.isin(limb, children)
-    use = mine | theirs
-    m, d = factor * model[use], data[use]
-    w = np.where(mine[use], 1.0, 0.15) * trust[use]
-    middle = factor * (pin[0] if pin else model.mean(0))
-    frame = 0.15 * np.concatenate([np.eye(3), -np.eye(3)]) + middle
-    held = frame @ turn.T + shift
-    points = np.concatenate([m, frame, middle[None]])
-    targets = np.concatenate([d, held, (turn @ middle + shift)[None]])
-    weights = np.concatenate([w, np.full(6, 0.02 if pin else 0.1), [8.0 if pin else 0.0]])
-    return _robust(points, targets, weights, 0.25)
+def _levels(topology: Topology) -> list[list[int]]:
+    """Joints by their number of limbs to the root."""
+    depth, levels = {0: 0}, defaultdict(list)
+    for j in tree_order(topology):
+        depth[topology.children[j]] = depth[topology.parents[j]] + 1
+        levels[depth[topology.children[j]]].append(j)
+    return list(levels.values())
+
+
+# 8 parameters: points, and what holds them
+def _turned(model, data, weight, middle, at, before, about: float, pinned: float):
+    """Rotations and translations of limbs from the rest pose by their points, held at the place of a `middle` with the
+    weight `pinned` and by the rotation `before` with the weight `about`."""
+    frame = 0.15 * np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))])
+    held = frame @ np.swapaxes(before, -1, -2) + at[..., None, :]
+    wide = (*at.shape[:-1], model.shape[-2], 3)
+    points = np.concatenate([np.broadcast_to(model, wide), frame + middle[..., None, :]], -2)
+    targets = np.concatenate([np.broadcast_to(data, wide), held], -2)
+    weights = np.concatenate([weight, np.broadcast_to([*[about] * 6, pinned], (*at.shape[:-1], 7))], -1)
+    return _robust(points, targets, weights, 0.25, *rigid(points, targets, weights))

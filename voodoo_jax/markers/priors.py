@@ -97,14 +97,19 @@ class Chain:
         turned = np.einsum("flij,lj->fli", turn[:, self.owner], places)
         return root[:, None] + np.einsum("ml,fli->fmi", self.sum, turned)
 
-    def slopes(self, places, slope, turn) -> tuple[np.ndarray, np.ndarray]:
+    def slopes(self, x: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the markers by the poses (shift of the root, turn of each limb) and by x."""
-        n = len(self.limb)
-        lever = np.einsum("mk,ki,kl->mli", self.sum[:n], places, self.turned_by)
-        by_turn = -np.einsum("flij,mljk->fmilk", turn, cross_matrix(lever)).reshape(len(turn), n, 3, -1)
-        by_root = np.broadcast_to(np.eye(3), (len(turn), n, 3, 3))
-        by_x = np.einsum("mk,fkip->fmip", self.sum[:n], turn[:, self.owner] @ slope)
-        return np.concatenate([by_root, by_turn], -1), by_x
+        frames, n, joints = len(turn), len(self.limb), len(self.joints)
+        on_limb = lambda places: np.einsum("mk,ki,kl->mli", self.sum[:n], places, self.turned_by)  # noqa: E731
+        along = lambda turn: turn.swapaxes(1, 2)[:, None]  # noqa: E731  frame, 1, world axis, limb, limb's axis
+        by_root = np.broadcast_to(np.eye(3), (frames, n, 3, 3))
+        by_turn = -(turn[:, None] @ cross_matrix(on_limb(self.sized(x)))).swapaxes(2, 3)
+        by_factor = along(turn) * on_limb(self._sizes(x))[:, None]
+        by_joint = along(turn[:, self.parents]) * self.sum[:n, None, :joints, None]
+        by_marker = along(turn[:, self.limb]) * np.eye(n)[:, None, :, None]
+        by_x = [by_factor.sum((-2, -1)), by_factor, by_joint, by_marker]
+        flat = lambda parts: np.concatenate([p.reshape(frames, n, 3, -1) for p in parts], -1)  # noqa: E731
+        return flat([by_root, by_turn]), flat(by_x)
 
     def angles(self, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joint angles over their usual size [frame, joint, 3], and their derivative by the poses."""

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.kernels.landmarks import named_points
-from voodoo_jax.markers.first_pose import first_pose
+from voodoo_jax.markers.first_pose import first_poses
 from voodoo_jax.markers.priors import SCALE, Chain, Priors
 from voodoo_jax.model.body import Body, with_rest_from_joints
 from voodoo_jax.model.marker_sets import V1_NAMES
@@ -109,8 +109,8 @@ def _start(body: Body, chain: Chain, markers: Markers, factor: float | None, loo
     """First values of the unknowns, the limbs' rotations and the root's places. First poses from the other markers give
     the places of `loose` markers, which then help to find better poses."""
     rows, points, seen = markers.rows, markers.points, markers.seen
-    turn, at, scale = _first_poses(body, rows, points, seen, factor, np.where(loose, UNSURE, 1.0))
-    x = np.zeros(chain.unknowns)
+    turn, at, scales = first_poses(body, rows, points, seen, factor, np.where(loose, UNSURE, 1.0))
+    x, scale = np.zeros(chain.unknowns), float(np.median(scales))
     x[0] = np.log(scale)
     if loose.any():
         shifts = _found_places(chain, x, loose, turn, at, points, seen)
@@ -118,15 +118,8 @@ def _start(body: Body, chain: Chain, markers: Markers, factor: float | None, loo
         sites = np.array(body.sites)
         sites[rows[loose]] += shifts[loose] / scale
         found = eqx.tree_at(lambda b: b.sites, body, jnp.asarray(sites))
-        turn, at, _ = _first_poses(found, rows, points, seen, scale, np.ones(len(loose)))
+        turn, at, _ = first_poses(found, rows, points, seen, scale)
     return x, turn, at[:, 0]
-
-
-def _first_poses(body: Body, rows, points, seen, factor, trust) -> tuple[np.ndarray, np.ndarray, float]:
-    """Rotations and places of the limbs in each frame, and the scale in most of them."""
-    first = [first_pose(body, rows, p, s, factor, trust) for p, s in zip(points, seen)]
-    turn = np.stack([Rotation.from_quat(q, scalar_first=True).as_matrix() for q, _, _ in first])
-    return turn, np.stack([at for _, at, _ in first]), float(np.median([found for _, _, found in first]))
 
 
 # 7 parameters: the state of the fit
@@ -149,24 +142,26 @@ def _step(chain: Chain, priors: Priors, x, turn, off, seen, reach: float, dampin
     """One damped Gauss-Newton step: motions of all poses and the change of x (none without `sizes`)."""
     frames = len(turn)
     robust = seen * geman_mcclure_root(np.sum(off**2, -1), reach) / NOISE
-    by_pose, by_x = chain.slopes(chain.sized(x), chain.sized_by(x), turn)
+    by_pose, by_x = chain.slopes(x, turn)
     by_pose, by_x = ((robust[..., None, None] * j).reshape(frames, -1, j.shape[-1]) for j in (by_pose, by_x))
     r = (robust[..., None] * off).reshape(frames, -1)
     # the joints' angles count once, not once per frame: frames are not independent of each other
     angles, by_turn = (a / np.sqrt(frames) for a in chain.angles(turn))
     angles, by_turn = angles.reshape(frames, -1), by_turn.reshape(frames, -1, by_turn.shape[-1])
     h = by_pose.swapaxes(1, 2) @ by_pose + by_turn.swapaxes(1, 2) @ by_turn
-    g = np.einsum("fri,fr->fi", by_pose, r) + np.einsum("fri,fr->fi", by_turn, angles)
-    h = h + np.einsum("fi,ij->fij", damping * np.einsum("fii->fi", h) + 1e-6, np.eye(h.shape[1]))
+    g = (r[:, None] @ by_pose + angles[:, None] @ by_turn)[:, 0]
+    h = h + (damping * np.einsum("fii->fi", h) + 1e-6)[..., None] * np.eye(h.shape[1])
     if not sizes:
         return -np.linalg.solve(h, g[..., None])[..., 0], np.zeros_like(x)
     mixed = by_pose.swapaxes(1, 2) @ by_x
     solved = np.linalg.solve(h, np.concatenate([g[..., None], mixed], 2))
     known, by_known = priors.at(x), priors.slope(x)
-    hx = np.einsum("fri,frj->ij", by_x, by_x, optimize=True) + by_known.T @ by_known
-    gx = np.einsum("fri,fr->i", by_x, r) + by_known.T @ known
-    left = hx + np.diag(damping * np.diag(hx)) - np.einsum("fij,fik->jk", mixed, solved[:, :, 1:], optimize=True)
-    step = np.linalg.solve(left, np.einsum("fij,fi->j", mixed, solved[:, :, 0]) - gx)
+    over = lambda a, b: a.reshape(-1, len(x)).T @ b.reshape(frames * a.shape[1], -1)  # noqa: E731  of all frames
+    hx = over(by_x, by_x) + by_known.T @ by_known
+    gx = over(by_x, r)[:, 0] + by_known.T @ known
+    away = over(mixed, solved)
+    left = hx + np.diag(damping * np.diag(hx)) - away[:, 1:]
+    step = np.linalg.solve(left, away[:, 0] - gx)
     return -solved[:, :, 0] - solved[:, :, 1:] @ step, step
 
 

@@ -10,13 +10,14 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.spatial.transform import Rotation
 
 from voodoo_jax.compile.executable import program
 from voodoo_jax.geometry.arrays_file import arrays_in
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.eye import HIGH, JOINTS, LEFT, OTHER, RIGHT, Params, ahead, forward, named
-from voodoo_jax.markers.first_pose import first_pose
+from voodoo_jax.markers.first_pose import first_poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 
@@ -137,5 +138,6 @@ def poses_of(body: Body, person: Seen) -> Poses | None:
     use = known & (person.spread < SURE)
     if use.sum() < 6:
         return None
-    turn, at, _ = first_pose(body, rows, person.joints, use, scaled_by=1.0)
-    return Poses(turn.astype(np.float32), at.astype(np.float32))
+    turn, at, _ = first_poses(body, rows, person.joints[None], use[None], scaled_by=1.0)
+    q = Rotation.from_matrix(turn[0]).as_quat(scalar_first=True)
+    return Poses(q.astype(np.float32), at[0].astype(np.float32))
