@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from experiments.eye.data import CLASSES, JOINTS, PARTS
-from voodoo_jax.kernels.eye import BINS, MIDDLES, OTHER, WAVES, Params, Told, ahead, forward, named
+from voodoo_jax.kernels.eye import BINS, MIDDLES, OTHER, WAVES, Params, Prediction, ahead, forward, named
 from voodoo_jax.trackers.shared.eye import FEATURES
 
 WIDTH, DEPTH = 64, 3
@@ -37,7 +37,7 @@ def init(key: Array) -> Params:
     )  # fmt: skip
 
 
-def each(p: Params, b: dict[str, Any]) -> Told:
+def each(p: Params, b: dict[str, Any]) -> Prediction:
     """The net on a batch."""
     return jax.vmap(forward, (None, 0, 0))(p, b["tok"], b["sensor"])
 

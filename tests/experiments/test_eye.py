@@ -10,7 +10,7 @@ from experiments.eye.postures import drawn
 from experiments.eye.voxels import tokens_and_labels
 from experiments.people.motions import PARENT, Clip
 from voodoo_jax.kernels.eye import JOINTS as NAMES
-from voodoo_jax.kernels.eye import LEFT, MIDDLES, OTHER, RIGHT, Told, forward, named
+from voodoo_jax.kernels.eye import LEFT, MIDDLES, OTHER, RIGHT, Prediction, forward, named
 from voodoo_jax.trackers.shared.eye import TOKENS, tokens
 
 REST = Clip(dict.fromkeys(PARENT, Rotation.identity(1)), np.zeros((1, 3)))
@@ -66,7 +66,7 @@ def test_left_and_right_are_told_by_facing():
     joints[LEFT, 1], joints[RIGHT, 1] = 0.2, -0.2  # faces +x
     for way, left in ((0.0, 0.2), (np.pi, -0.2)):
         facing = 4 * np.cos(MIDDLES - way)
-        said, odds = named(Told(facing, facing, joints, facing[: len(JOINTS)], facing[0], facing))  # pyright: ignore[reportArgumentType]
+        said, odds = named(Prediction(facing, facing, joints, facing[: len(JOINTS)], facing[0], facing))  # pyright: ignore[reportArgumentType]
         assert odds > 2 and np.allclose(np.asarray(said.joints)[LEFT, 1], left)
     assert np.array_equal(OTHER[OTHER], np.arange(len(JOINTS)))
 

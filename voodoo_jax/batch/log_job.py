@@ -207,13 +207,13 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             for one in people[::-1]:  # the main one last: where it is, all are
                 write_tracks_npz(one, Path(person_place(str(npz), one.person)), key)
             remove_others(place, len(people))
-        told = attempted("picture", lambda: draw(people, target, job.settings, log=log)) if job.picture else []
-        drawn = drawn if job.picture and not told else ""
-        told += write_exports(people, npz, job.exports, job.style)
-        told += write_view(people, npz, job.settings, log) if job.html else []
+        notes = attempted("picture", lambda: draw(people, target, job.settings, log=log)) if job.picture else []
+        drawn = drawn if job.picture and not notes else ""
+        notes += write_exports(people, npz, job.exports, job.style)
+        notes += write_view(people, npz, job.settings, log) if job.html else []
     others = tuple(outcome_of(job.log, person_place(place, one.person), one) for one in people[1:])
     outcome = outcome_of(job.log, place, people[0], picture=drawn, others=others)
-    return replace(outcome, told=tuple(told), skipped=job.only_picture)
+    return replace(outcome, of_files=tuple(notes), skipped=job.only_picture)
 
 
 def check_names(place: str, count: int) -> None:

@@ -352,14 +352,14 @@ class BodySegmenter:
         tree = KDTree((cells + 0.5) * CELL)
         low, high = (((cells.min(0) - 1) * CELL).astype(np.float32), ((cells.max(0) + 2) * CELL).astype(np.float32))
 
-        def told(points):
+        def among_these(points):
             found = np.zeros(len(points), bool)
             asked = inside(points, low, high)  # the others are too far off, and most of these
             asked = asked[touching(cells_of(picked(points, asked), CELL), cells)]
             found[asked] = tree.query(points[asked], distance_upper_bound=1.2 * CELL)[0] < np.inf
             return found
 
-        return told
+        return among_these
 
     def _learn(self, distant, body, sure) -> None:
         """Counts the places of other objects: those near the body, and those that are `distant`."""

@@ -320,9 +320,9 @@ def _run_saved_search(
     tell: Callable[[str, Progress | None], None],
 ) -> tuple[Progress, Place]:  # fmt: skip
     """Runs the search, saved in `state` after each step and resumed from it."""
-    told = [repr(replace(options, iterations=0)).encode(), "\n".join(search.free.names).encode()]
+    rest = [repr(replace(options, iterations=0)).encode(), "\n".join(search.free.names).encode()]
     arrays = [np.asarray(v).tobytes() for p in search.parts for v in jax.tree.leaves((p.body, p.frames))]
-    mark = hashlib.sha256(b"".join([*arrays, *told])).hexdigest()
+    mark = hashlib.sha256(b"".join([*arrays, *rest])).hexdigest()
     progress = (load_progress(state, mark) if state is not None else None) or Progress(np.zeros(len(search.sd)))
     tell("fitting", progress)
 

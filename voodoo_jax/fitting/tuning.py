@@ -138,9 +138,12 @@ def _compile_search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[
 
         each = jnp.concatenate([jax.lax.map(one, group) for group in groups])
         value = jnp.mean(each)
-        told = jax.lax.stop_gradient((number, z, value))
+        progress = jax.lax.stop_gradient((number, z, value))
         first = io_callback(
-            lambda number, *told: _CALLBACKS[int(number)](*told), jnp.zeros((), value.dtype), *told, ordered=True
+            lambda number, *progress: _CALLBACKS[int(number)](*progress),
+            jnp.zeros((), value.dtype),
+            *progress,
+            ordered=True,
         )
         return SCALE * (value / jnp.maximum(first, 1e-12) + 0.5 * pull * jnp.sum((x / sd) ** 2))
 

@@ -26,7 +26,7 @@ MIDDLES = (np.arange(BINS) + 0.5) * 2 * np.pi / BINS  # derived: of these direct
 Params = Mapping[str, Any]
 
 
-class Told(NamedTuple):
+class Prediction(NamedTuple):
     """What the net says; left and right may be exchanged, see `named`."""
 
     part: Float[Array, "token class"]  # logits: parts of the body, background, somebody else
@@ -37,7 +37,7 @@ class Told(NamedTuple):
     facing: Float[Array, " bin"]  # logits of directions around the vertical
 
 
-def forward(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"]) -> Told:
+def forward(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"]) -> Prediction:
     """**Arguments:** `tok` a voxel's mean, covariance, octants and number of points, 0: padding; `sensor` its level
     distance and its height, metres."""
     on, at, count = tok[:, -1] > 0, tok[:, :3], len(tok)
@@ -61,7 +61,7 @@ def forward(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, 
     said = jax.nn.relu(whole @ p["s1"] + p["s1b"]) @ p["s2"] + p["s2b"]
     spread, person, facing = jnp.split(said, [len(JOINTS), len(JOINTS) + 1])
     part = jax.nn.relu(each @ p["q1"] + p["q1b"]) @ p["q2"] + p["q2b"]
-    return Told(part, votes, jnp.einsum("jt,tjk->jk", pick, votes), spread - 2.0, person[0], facing)
+    return Prediction(part, votes, jnp.einsum("jt,tjk->jk", pick, votes), spread - 2.0, person[0], facing)
 
 
 def _norm(x: Array, w: Array) -> Array:
@@ -74,10 +74,10 @@ def ahead(joints: Float[Any, "*b joint 3"]) -> Any:
     return jnp.stack([across[..., 1], -across[..., 0]], -1)
 
 
-def named(told: Told) -> tuple[Told, Float[Array, ""]]:
+def named(found: Prediction) -> tuple[Prediction, Float[Array, ""]]:
     """What it says with left and right as it faces, and the logarithm of the odds that they are so."""
-    cosine = ahead(told.joints) @ jnp.stack([jnp.cos(MIDDLES), jnp.sin(MIDDLES)])
-    front = jnp.sum(jax.nn.softmax(told.facing) * (cosine > 0))
+    cosine = ahead(found.joints) @ jnp.stack([jnp.cos(MIDDLES), jnp.sin(MIDDLES)])
+    front = jnp.sum(jax.nn.softmax(found.facing) * (cosine > 0))
     odds = jnp.log(front + 1e-4) - jnp.log(1 - front + 1e-4)
     order = jnp.where(odds < 0, OTHER, np.arange(len(JOINTS)))
-    return told._replace(joints=told.joints[order], spread=told.spread[order]), jnp.abs(odds)
+    return found._replace(joints=found.joints[order], spread=found.spread[order]), jnp.abs(odds)

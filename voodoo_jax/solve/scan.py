@@ -264,13 +264,13 @@ def state_after(
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
     velocity = jnp.where(moving, (poses.translation - before.poses.translation) / safe, 0.0)
     # by how many points there are, however noisy
-    told, weight = cloud[3] > 0, limb_weight * (1.0 if points.doubt is None else points.doubt)
+    measured, weight = cloud[3] > 0, limb_weight * (1.0 if points.doubt is None else points.doubt)
     if options.by_features and features is not None:
         weight = weight + feature_sums(problem.body, poses, features, options.icp.features).weight
-        told = told | jnp.any(features.weight > 0)
+        measured = measured | jnp.any(features.weight > 0)
     share = weight**2
     shown = share / jnp.maximum(share + options.hidden_weight**2, 1e-6)
-    return State(poses, spin, velocity, jnp.where(told, shown, before.seen), cloud)
+    return State(poses, spin, velocity, jnp.where(measured, shown, before.seen), cloud)
 
 
 def _nothing(state: State) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:

@@ -204,8 +204,8 @@ class LiveTracker:
             while self._there(at) and not chunk.over and not (run.people[at].other and at > chunk.first):
                 state, row = run.one(state, at)
                 chunk.take(row)
-                told = row.status if not doubt else np.where(row.tracked, Status.LOST, row.status).astype(np.int8)
-                yield replace(row, status=told)
+                status = row.status if not doubt else np.where(row.tracked, Status.LOST, row.status).astype(np.int8)
+                yield replace(row, status=status)
                 at += 1
                 yield from self._until(at)
             if chunk.broken:

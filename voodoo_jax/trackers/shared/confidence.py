@@ -284,5 +284,5 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
         fits = probability(MATCHED_FITS if tracks.evidence.matched else FITS, misfit)
         ill[span] = 0.0 if tracks.evidence.matched else ill_fit(misfit)
         sure[span] = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0)
-    told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
-    return np.where(told[:, None], sure * facing_right(tracks, ill), np.nan).astype(np.float32)
+    answered = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
+    return np.where(answered[:, None], sure * facing_right(tracks, ill), np.nan).astype(np.float32)

@@ -56,7 +56,7 @@ def weights(path: Path = OWN) -> Params:
 
 
 @program
-def told(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"]) -> tuple[Array, Array, Array]:
+def predict(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"]) -> tuple[Array, Array, Array]:
     """Joints, logarithm of their error, level direction that they face, as long as the logarithm of the odds of that;
     in the frame of the view."""
     said, odds = named(forward(p, tok, sensor))
@@ -67,7 +67,7 @@ def told(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"
 def prepare(body: Body) -> None:
     """Compiles or loads the net, for a person."""
     if body.scale_name == "stature":
-        told.prepare(weights(), np.zeros((TOKENS, FEATURES), np.float32), np.zeros(2, np.float32))
+        predict.prepare(weights(), np.zeros((TOKENS, FEATURES), np.float32), np.zeros(2, np.float32))
 
 
 def seen(frame: BodyObservation, floor: Plane) -> Seen | None:
@@ -82,7 +82,7 @@ def seen(frame: BodyObservation, floor: Plane) -> Seen | None:
         turn = view(sensor - foot, up)
         at, eye = thinned((points - foot) @ turn.T), (sensor - foot) @ turn.T
         far = np.array([np.hypot(*eye[:2]), eye[2]], np.float32)
-        joints, spread, front = map(np.asarray, told(weights(), tokens(at)[0], far))
+        joints, spread, front = map(np.asarray, predict(weights(), tokens(at)[0], far))
         hips, looks = joints[[LEFT[1], RIGHT[1]], :2].mean(0), looks - 1
         if looks == 0 or np.linalg.norm(hips) < NEAR:
             return Seen(joints @ turn + foot, np.exp(spread), front @ turn[:2])

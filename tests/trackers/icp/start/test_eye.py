@@ -27,7 +27,7 @@ if hasattr(os, "sched_setaffinity"):
 import numpy as np
 from voodoo_jax.trackers.shared import eye
 points = np.random.default_rng(0).normal([0, 0, 1.0], [0.2, 0.25, 0.3], (300, 3))
-said = eye.told(eye.weights(), eye.tokens(points)[0], np.array([2.0, 1.2], np.float32))
+said = eye.predict(eye.weights(), eye.tokens(points)[0], np.array([2.0, 1.2], np.float32))
 print(b"".join(np.asarray(each).tobytes() for each in said).hex())
 """
 

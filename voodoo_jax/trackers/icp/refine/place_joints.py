@@ -246,11 +246,11 @@ class PlaceJoints:
         now = seen_in(body, tracks, frames, eyes)
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
-            told = learned()[name]
-            seen = self.gap_features(gaps_for(name, gaps), told)
+            known = learned()[name]
+            seen = self.gap_features(gaps_for(name, gaps), known)
             features = pose_features(body, centre, tracks, now)
             wide = np.broadcast_to(seen, (len(frames), len(seen)))
-            shift = np.concatenate([features, wide], 1) @ told.weights
+            shift = np.concatenate([features, wide], 1) @ known.weights
             length = np.linalg.norm(shift, axis=1, keepdims=True)
             shift *= np.minimum(1.0, self.farthest / np.maximum(length, 1e-9)) * float(body.scale)
             if side == "r_":
@@ -260,10 +260,10 @@ class PlaceJoints:
             joints[frames, k] += shift.astype(joints.dtype)
         return replace(tracks, joints=joints, joint_covariance=covariance)
 
-    def gap_features(self, gaps: Gaps, told: Learned) -> Float64[np.ndarray, " gap"]:
+    def gap_features(self, gaps: Gaps, known: Learned) -> Float64[np.ndarray, " gap"]:
         """Gaps in standard deviations from people's mean, less where little was seen of a joint."""
         share = np.repeat(gaps.count / (gaps.count + self.few), 3)
-        away = np.where(told.spread > 0, (gaps.gap.ravel() - told.usual) / np.maximum(told.spread, 1e-9), 0.0)
+        away = np.where(known.spread > 0, (gaps.gap.ravel() - known.usual) / np.maximum(known.spread, 1e-9), 0.0)
         return np.clip(np.where(np.isfinite(away), away, 0.0), -self.widest, self.widest) * share
 
 
