@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.support.helpers import random_rotations, scipy_rotation
 from voodoo_jax.geometry import rigid
 from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.geometry.rotations import shortest_turns
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 
@@ -26,6 +27,19 @@ def test_against_scipy(rng):
     np.testing.assert_allclose(rigid.rotate(p, v), scipy_rotation(p).apply(v), atol=2e-6)
     np.testing.assert_allclose(rigid.unrotate(p, v), scipy_rotation(p).inv().apply(v), atol=2e-6)
     np.testing.assert_allclose(rigid.quat_log(p), scipy_rotation(p).as_rotvec(), atol=1e-5)
+
+
+def test_shortest_turns(rng):
+    """Against scipy's alignment of two vectors; opposite directions turn by half a turn, a zero vector by nothing."""
+    a, b = rng.normal(size=(2, 20, 3))
+    b[0], b[1] = -2 * a[0], [0, 0, -1.0]
+    a[1], a[2] = [0, 0, 3.0], 0.0
+    turns = shortest_turns(a, b)
+    for turn, u, v in zip(turns[3:], a[3:], b[3:]):
+        assert (turn * Rotation.align_vectors(v[None], u[None])[0].inv()).magnitude() == pytest.approx(0, abs=1e-6)
+    np.testing.assert_allclose(turns.magnitude()[:3], [np.pi, np.pi, 0.0])
+    np.testing.assert_allclose(turns[0].apply(a[0]), -a[0], atol=1e-9)
+    assert shortest_turns(np.zeros((0, 3)), np.zeros((0, 3))).as_matrix().shape == (0, 3, 3)
 
 
 def test_compose_and_inverse(rng):

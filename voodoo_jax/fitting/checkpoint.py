@@ -1,6 +1,7 @@
 """The state of a search, and the file that it is saved in."""
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,3 +43,19 @@ def load_progress(path: str | os.PathLike[str], fingerprint: str) -> Progress | 
         return Progress(file["x"], int(file["step"]), float(file["damping"]), losses, bool(file["done"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def resumed(
+    state: str | os.PathLike[str] | None, fingerprint: str, size: int, tell: Callable[[str, Progress | None], None]
+) -> tuple[Progress, Callable[[Progress], None]]:
+    """The progress saved in the file `state`, or that of a new search for `size` numbers, which is told; and what
+    saves and tells the progress after each step."""
+
+    def step_done(now: Progress) -> None:
+        if state is not None:
+            save_progress(now, state, fingerprint)
+        tell("fitting", now)
+
+    progress = (load_progress(state, fingerprint) if state is not None else None) or Progress(np.zeros(size))
+    tell("fitting", progress)
+    return progress, step_done

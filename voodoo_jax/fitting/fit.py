@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float64, Int
 
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
+from voodoo_jax.fitting.checkpoint import Progress, resumed
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
 from voodoo_jax.fitting.gauss_newton import FEW_MORE, BaseSearch, Part, Search, covariance, run_search, spread
 from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, verdict_on, weakly_determined
@@ -132,15 +132,7 @@ def searched(
     chosen = [chosen_frames(s.tracks, _count_points(s), options.frames) for s in seen]
     search = _stiffen_bands(search_of(seen, settings, options, truths, chosen), options)
     size = len(search.sd)
-    mark = _fingerprint(search, options)
-    progress = (load_progress(state, mark) if state is not None else None) or Progress(np.zeros(size))
-
-    def step_done(now: Progress) -> None:
-        if state is not None:
-            save_progress(now, state, mark)
-        tell("fitting", now)
-
-    tell("fitting", progress)
+    progress, step_done = resumed(state, _fingerprint(search, options), size, tell)
     cov, apart, stays = np.full((size, size), np.nan), np.full(size, np.nan), np.zeros(size, bool)
     search.compiled()
     for number in range(1, options.rounds + 1):

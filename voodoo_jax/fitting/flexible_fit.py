@@ -25,7 +25,7 @@ from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.opening import open_checked
 from voodoo_jax.detect.pipeline import build_of
-from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
+from voodoo_jax.fitting.checkpoint import Progress, resumed
 from voodoo_jax.fitting.fit import Found, entry_names, fit_of
 from voodoo_jax.fitting.frames import Truth, chosen_frames, news, read_truth, truth_at
 from voodoo_jax.fitting.gauss_newton import (
@@ -323,12 +323,5 @@ def _run_saved_search(
     rest = [repr(replace(options, iterations=0)).encode(), "\n".join(search.free.names).encode()]
     arrays = [np.asarray(v).tobytes() for p in search.parts for v in jax.tree.leaves((p.body, p.frames))]
     mark = hashlib.sha256(b"".join([*arrays, *rest])).hexdigest()
-    progress = (load_progress(state, mark) if state is not None else None) or Progress(np.zeros(len(search.sd)))
-    tell("fitting", progress)
-
-    def step_done(now: Progress) -> None:
-        if state is not None:
-            save_progress(now, state, mark)
-        tell("fitting", now)
-
+    progress, step_done = resumed(state, mark, len(search.sd), tell)
     return run_search(search, progress, options.iterations, step_done)

@@ -31,10 +31,12 @@ def unit(v: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
 
 
 def shortest_turns(a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"]) -> Rotation:
-    """The shortest turns from some directions to others, of any length."""
-    axis = np.cross(a, b)
-    angle = np.arctan2(np.linalg.norm(axis, axis=1), np.sum(a * b, 1))
-    return Rotation.from_rotvec(unit(axis) * angle[:, None])
+    """The shortest turns from some directions to others, of any length; opposite ones turn about any axis between."""
+    a, b = unit(a), unit(b)
+    axis, aside = np.cross(a, b), np.cross(a, np.where(np.abs(a[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
+    sine = np.linalg.norm(axis, axis=1, keepdims=True)
+    axis = unit(np.where(sine > 1e-6, axis, aside))
+    return Rotation.from_rotvec(axis * np.arctan2(sine, np.sum(a * b, 1, keepdims=True)))
 
 
 def half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:

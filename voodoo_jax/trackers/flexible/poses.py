@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.geometry.rotations import shortest_turns
 from voodoo_jax.model.body import Body, joint_centres, without_side
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
 
@@ -79,7 +80,8 @@ def limb_poses(
         base = upper if base == "upper" else lower
         turn = base
         if end is not None:
-            turn = _rotate_shortest(np.einsum("fij,j->fi", base, at[end] - at[start]), now[end] - now[start]) @ base
+            before = np.einsum("fij,j->fi", base, at[end] - at[start])
+            turn = shortest_turns(before, now[end] - now[start]).as_matrix() @ base
         known = [start, end] if middle and end is not None else [start]
         anchor = np.mean([at[n] for n in known], 0)
         centre = np.mean([now[n] for n in known], 0)
@@ -106,16 +108,3 @@ def _list_spans() -> dict[str, tuple[str, str | None, str, bool]]:
         out[f"{side}_hand"] = f"{side}_wrist", f"{side}_elbow", "upper", False  # continues the forearm
         out[f"{side}_foot"] = f"{side}_ankle", None, "lower", False
     return out
-
-
-def _rotate_shortest(
-    a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"]
-) -> Float[np.ndarray, "frame 3 3"]:
-    """The shortest rotations from directions to others."""
-    a = a / np.maximum(np.linalg.norm(a, axis=1, keepdims=True), 1e-9)
-    b = b / np.maximum(np.linalg.norm(b, axis=1, keepdims=True), 1e-9)
-    axis = np.cross(a, b)
-    sine, cosine = np.linalg.norm(axis, axis=1, keepdims=True), (a * b).sum(1, keepdims=True)
-    aside = np.cross(a, np.where(np.abs(a[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
-    axis = np.where(sine > 1e-6, axis / np.maximum(sine, 1e-9), aside / np.linalg.norm(aside, axis=1, keepdims=True))
-    return Rotation.from_rotvec(axis * np.arctan2(sine, cosine)).as_matrix() if len(a) else np.zeros((0, 3, 3))
