@@ -11,7 +11,6 @@ from scipy.stats import chi2
 
 import voodoo_jax as vj
 from experiments.common import NEAR_NS, SKIP, errors, grade, nearest, off
-from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.model.body_file import load_body
 
 INSIDE = float(chi2.ppf(0.95, 3))  # squared Mahalanobis distance that holds 95 % of a normal distribution in space
@@ -94,7 +93,7 @@ def compared(tracks: vj.Tracks, known: Known) -> Outcome:
         covariance[~told], away[~told] = np.eye(3), 0
         square = np.einsum("tja,tja->tj", away, np.linalg.solve(covariance, away[..., None])[..., 0])
         inside = np.where(told, square <= INSIDE, np.nan)
-    body = segment_lengths(tracks.body)
+    body = tracks.segment_lengths()
     segments = [abs(body[k] - v) for k, v in known.dims.items() if k in body and v is not None and np.isfinite(v)]
     stature = known.dims.get("stature")
     return Outcome(

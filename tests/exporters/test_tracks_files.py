@@ -1,6 +1,7 @@
 """Tracks written and read back: the npz contract, and the MCAP file as a viewer reads it."""
 
 import json
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -100,6 +101,13 @@ def test_npz_contract(tmp_path):
     assert body["stature"] == pytest.approx(1.83) and set(body["segment_lengths"]) == {
         "upper_arm", "forearm", "thigh", "shank",
     }  # fmt: skip
+    longer = replace(tracks, segments={"thigh": 0.5})
+    write_tracks_npz(longer, tmp_path / "a.tracks.npz")
+    assert read_tracks_npz(tmp_path / "a.tracks.npz").segment_lengths() == pytest.approx(longer.segment_lengths())
+    odd = dict(data) | {"body_json": np.array('{"name": "x", "stature": 1.8, "segment_lengths": 3}')}
+    odd.pop("digest", None)
+    np.savez(tmp_path / "odd.npz", **odd)
+    assert read_tracks_npz(tmp_path / "odd.npz").segment_lengths() == tracks.segment_lengths()
     write_tracks_npz(make_tracks("arm"), tmp_path / "b.npz")
     body = json.loads(str(np.load(tmp_path / "b.npz", allow_pickle=False)["body_json"]))
     assert "stature" not in body and body["reach"] == pytest.approx(1.83)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from voodoo_jax.geometry.arrays_file import DIGEST, NotArrays, arrays_in, digest
-from voodoo_jax.model.body import Body, segment_lengths
+from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import BodyFileError, format_body, parse_body
 from voodoo_jax.records.tracks import Evidence, Tracks
 from voodoo_jax.storage.atomic import replacing
@@ -50,7 +50,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body
-    summary = {"name": body.name, body.scale_name: float(body.scale), "segment_lengths": segment_lengths(body)}
+    summary = {"name": body.name, body.scale_name: float(body.scale), "segment_lengths": tracks.segment_lengths()}
     arrays: dict[str, Any] = {name: value for name, value in tracks.rows().items() if name in FORMS}
     arrays |= {
         "tracked": tracks.tracked,
@@ -98,12 +98,21 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
         evidence=Evidence(**{name: data[name] for name in EVIDENCE & data.keys()}),
         **{name: data[name] for name in FORMS.keys() & data.keys() - EVIDENCE},
         marker_residual=None if off is None else dict(zip(data.get("marker_names", off).tolist(), off.tolist())),
+        segments=_segments(data, body),
         seconds=float(data.get("seconds", 0.0)),
         notes=tuple(str(note) for note in data.get("notes", ())),
         person=int(data.get("person", 1)),
         people=int(data.get("people", 1)),
         names=_other_names(data, body),
     )
+
+
+def _segments(data: Mapping[str, np.ndarray], body: Body) -> dict[str, float]:
+    """The lengths in `body_json`, of segments that the body has."""
+    known = json.loads(str(data.get("body_json", "{}"))).get("segment_lengths")
+    pairs = known.items() if isinstance(known, dict) else ()
+    names = {name for name, *_ in body.topology.segments}
+    return {k: float(v) for k, v in pairs if k in names and isinstance(v, (int, float)) and 0 < v < FARTHEST}
 
 
 def _other_names(data: Mapping[str, np.ndarray], body: Body) -> tuple[str, ...]:

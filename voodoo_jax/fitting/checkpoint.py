@@ -48,8 +48,8 @@ def load_progress(path: str | os.PathLike[str], fingerprint: str) -> Progress | 
 def resumed(
     state: str | os.PathLike[str] | None, fingerprint: str, size: int, tell: Callable[[str, Progress | None], None]
 ) -> tuple[Progress, Callable[[Progress], None]]:
-    """The progress saved in the file `state`, or that of a new search for `size` numbers, which is told; and what
-    saves and tells the progress after each step."""
+    """Progress saved in the file `state`, or that of a new search for `size` numbers; and a function that saves later
+    progress and passes it to `tell`, to which the first progress is passed here."""
 
     def step_done(now: Progress) -> None:
         if state is not None:

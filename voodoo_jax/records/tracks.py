@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int, Int8, Int32, Int64
 
-from voodoo_jax.model.body import Body
+from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.model.isb_angles import Angles, joint_angles
 from voodoo_jax.model.joint_names import joint_row, named
 from voodoo_jax.records.notes import all_of, filled
@@ -114,6 +114,8 @@ class Tracks:
     up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known
     # for logs of markers alone: root mean square distance of each from its fitted place on the body, metres
     marker_residual: Mapping[str, float] | None = None
+    # lengths of segments that were measured between joint centres, metres, see segment_lengths
+    segments: Mapping[str, float] | None = None
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())  # one sentence each; those in brackets need no action
@@ -145,6 +147,11 @@ class Tracks:
         if self.joint_confidence is None:
             return np.full(len(self.time_ns), np.nan, np.float32)
         return expected_share(self.joint_confidence)
+
+    def segment_lengths(self) -> dict[str, float]:
+        """Length of each named segment of the person, metres, left and right averaged: as measured between joint
+        centres where that is more accurate, or that of the body."""
+        return segment_lengths(self.body) | dict(self.segments or {})
 
     def since(self, first: int) -> "Tracks":
         """The same without the frames before `first`."""

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax._version import __version__
 from voodoo_jax.exporters.frames import seconds, spread, upright
 from voodoo_jax.exporters.limb_shapes import limb_rings, rings, side_of
-from voodoo_jax.model.body import Body, segment_lengths
+from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import Html, all_of, filled, is_remark
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Tracks
@@ -281,7 +281,7 @@ def _found(tracks: Tracks) -> list[tuple[str, str]]:
         ("body", body.name),
         (body.scale_name, f"{float(body.scale):.3f} m"),
     ]
-    found += [(name.replace("_", " "), f"{100 * value:.1f} cm") for name, value in segment_lengths(body).items()]
+    found += [(name.replace("_", " "), f"{100 * value:.1f} cm") for name, value in tracks.segment_lengths().items()]
     if len(known):
         found.append(("residual", f"{1000 * float(known.mean()):.0f} mm"))
     sure = tracks.confidence[tracks.tracked]

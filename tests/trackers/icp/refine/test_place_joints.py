@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests.support.segments import blank_tracks
 from voodoo_jax.fitting.frames import placed_by
 from voodoo_jax.geometry.rigid import Poses, on_host
-from voodoo_jax.model.body import joint_centres, scaled, with_proportions
+from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Status, Tracks
@@ -21,6 +21,7 @@ from voodoo_jax.trackers.icp.refine.place_joints import (
     PlaceJoints,
     band_gaps,
     learned,
+    measured_segments,
     persons_body,
     sensor_places,
     waves,
@@ -51,6 +52,25 @@ def standing(lower_shanks: float = 0.0, body=BODY) -> Tracks:
         joints=tile(joint_centres(body, poses)), status=np.full(COUNT, Status.TRACKED, np.int8),
         limb_weight=np.ones((COUNT, body.limb_count), np.float32),
     )  # fmt: skip
+
+
+def test_segments_are_as_long_as_from_joint_to_joint_where_they_are_seen():
+    """The knees of a standing person lower by 3 cm; not so in frames in which nothing is seen of the thighs, which are
+    fewer than half, nor where the person is lost. The other lengths are the body's."""
+    tracks = standing()
+    knees = [BODY.topology.centres.index(f"{side}_knee") for side in "lr"]
+    joints, weight, status = tracks.joints.copy(), tracks.evidence.limb_weight.copy(), tracks.status.copy()
+    joints[:40, knees, 2] -= 0.03
+    weight[40:50, [BODY.topology.limbs.index(f"{side}_thigh") for side in "lr"]] = 0
+    status[50:] = Status.LOST
+    found = measured_segments(replace(tracks, joints=joints, status=status).having(limb_weight=weight))
+    usual, hips = segment_lengths(BODY), [BODY.topology.centres.index(f"{side}_hip") for side in "lr"]
+    expected = np.linalg.norm(joints[0, hips] - joints[0, knees], axis=-1).mean()
+    assert set(found) == {"thigh", "forearm"} and found["thigh"] == pytest.approx(expected, abs=1e-6)
+    assert found["forearm"] == pytest.approx(usual["forearm"], abs=0.01)
+    assert expected > np.linalg.norm(tracks.joints[0, hips] - tracks.joints[0, knees], axis=-1).mean() + 0.025
+    assert replace(tracks, segments=found).segment_lengths() == usual | found
+    assert measured_segments(replace(tracks, status=np.full(COUNT, Status.LOST, np.int8))) == {}
 
 
 def turned(tracks: Tracks, turn: Rotation) -> Tracks:
