@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from voodoo_jax.geometry.arrays_file import DIGEST, NotArrays, arrays_in, digest
-from voodoo_jax.model.body import Body
+from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.model.body_file import BodyFileError, format_body, parse_body
 from voodoo_jax.records.tracks import Evidence, Tracks
 from voodoo_jax.storage.atomic import replacing
@@ -32,6 +32,7 @@ EVIDENCE = FORMS.keys() & {f.name for f in fields(Evidence)}
 FARTHEST = 1e30  # covariances are huge where nothing is known; not infinite
 LATEST = 1 << 62  # nanoseconds, as config.limited.TIME
 UNEVEN = 0.01  # of a unit quaternion's length: rounding
+ROUNDED = 1e-5  # metres, by which lengths in files of bodies are rounded
 MOST = 10_000  # people
 TEXTS = ("run_key", "source", "fixed_frame", "body_json")
 
@@ -107,12 +108,12 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
     )
 
 
-def _segments(data: Mapping[str, np.ndarray], body: Body) -> dict[str, float]:
-    """The lengths in `body_json`, of segments that the body has."""
+def _segments(data: Mapping[str, np.ndarray], body: Body) -> dict[str, float] | None:
+    """The lengths in `body_json` that are not the body's own; None without any."""
     known = json.loads(str(data.get("body_json", "{}"))).get("segment_lengths")
-    pairs = known.items() if isinstance(known, dict) else ()
-    names = {name for name, *_ in body.topology.segments}
-    return {k: float(v) for k, v in pairs if k in names and isinstance(v, (int, float)) and 0 < v < FARTHEST}
+    pairs, own = known.items() if isinstance(known, dict) else (), segment_lengths(body)
+    found = {k: float(v) for k, v in pairs if k in own and isinstance(v, (int, float)) and 0 < v < FARTHEST}
+    return {k: v for k, v in found.items() if abs(v - own[k]) > ROUNDED} or None
 
 
 def _other_names(data: Mapping[str, np.ndarray], body: Body) -> tuple[str, ...]:
