@@ -32,7 +32,7 @@ from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic, Unused
 from voodoo_jax.io.topic_roles import UNSEARCHED, camera_topics, decide_uses
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
-from voodoo_jax.records.messages import PAIRS, Calibration, Features, Image, many, moved
+from voodoo_jax.records.messages import PAIRS, Calibration, Features, Image, Unusable, many, moved
 from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
 
@@ -162,7 +162,7 @@ class Scan:
         broken = [
             f"'{name}': {many(topic.broken)} cannot be decoded ({topic.error})."
             for name, topic in self.topics.items()
-            if topic.broken
+            if topic.broken and not topic.whole
         ]
         return [*self.log.damage, *broken]
 
@@ -196,8 +196,9 @@ class Scan:
             try:
                 content = self._decoder.message(schema, channel, message.data)
             except DECODE_ERRORS as error:
-                topic.broken += 1
-                topic.error = topic.error or plain(f"{type(error).__name__}: {error}", LONG)
+                topic.broken, whole = topic.broken + 1, isinstance(error, Unusable)
+                topic.whole &= whole
+                topic.error = topic.error or plain(f"{error}" if whole else f"{type(error).__name__}: {error}", LONG)
         if content is not None and topic.sample is None:
             topic.sample = content
             if isinstance(content, Image) and topic.kind == COLOUR_KIND:
