@@ -27,6 +27,7 @@ from voodoo_jax.io.decode.registry import (
 )
 from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of, without_held, without_placeholders
+from voodoo_jax.io.point_order import in_known_order
 from voodoo_jax.io.several_files import open_files
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic, Unused
@@ -114,6 +115,7 @@ class Scan:
                 topic.features.clear()
                 self._settle_unit(name, topic.gathered, settings)
                 topic.gathered = self._mirrored(name, without_held(name, topic.gathered, self.notes), settings)
+                topic.gathered = in_known_order(name, topic.gathered, self.notes)
         for name in self._mirrors(settings).keys() - self.topics.keys():
             self.notes.append(f"read.mirror does not count here: the log has no topic '{name}'.")
         if known:
