@@ -1,5 +1,5 @@
-"""Names of key points that only their order identifies: of the systems with so many points, the one in whose order the
-limbs are a person's. Host side."""
+"""Names of key points without names: compares the orders of all known systems with that number of points, and chooses
+the order in which limbs have a person's proportions. Host side."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -194,7 +194,7 @@ def _nearest(
 
 
 def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
-    """Tracks a body for each person, see find_people; `person` is 0 for images of others, who are nobody."""
+    """Tracks a body for each person, see find_people; `person` is 0 for reflections of other people."""
     settings, visit = task.settings, task.visit
     frames, repeats = subjects[0].frames, settings.looks_ahead("track") and not settings.changes
     added = max(0, settings.start.frames - len(frames)) if frames and repeats else 0

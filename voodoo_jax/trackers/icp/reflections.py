@@ -1,7 +1,7 @@
-"""Who is the image of another person in a plane: a mirror, a window at night, a polished wall. Host side, NumPy.
+"""Detects reflections of people in a plane, such as a mirror, a window at night or a polished wall. Host side, NumPy.
 
-An image has no motion of its own. Another person's body, reflected in one fixed plane, explains its points about as
-well as a body that was fitted to them, and does not at other times, when that person's pose is another one.
+A reflection repeats the motion of a person. The person's body, reflected in one fixed plane, explains the reflection's
+points about as well as a body fitted to them, but not with the poses of other times.
 """
 
 from itertools import permutations
@@ -39,7 +39,7 @@ def reflected(subjects: list[Subject], found: list[Tracks]) -> dict[int, tuple[i
 
 
 def _distance_of_plane(person: Tracks, image: Tracks, frames: list[BodyObservation]) -> float:
-    """Distance of a person from the plane in which somebody is their image; 0 if nobody is.
+    """Distance of a person from the plane that reflects them, metres; 0 if `image` is not their reflection.
 
     **Arguments:** `frames` with the points of the `image`.
     """
