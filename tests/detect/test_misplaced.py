@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.support.logs import START, Log, ros_cloud, ros_tf
+from tests.support.logs import START, Log, ros_calibration, ros_cloud, ros_image, ros_tf
 from tests.support.rooms import box, figure, room
 from voodoo_jax import read_log
 from voodoo_jax.config.options import ReadSettings
@@ -88,6 +88,58 @@ def test_level_surfaces_that_fit_hide_no_wrong_transform(rng):
 def test_right_transforms_are_left_alone(rng, tmp_path):
     recording = read_log(log_of_two(rng, tmp_path / "a.mcap", HOME, Rotation.identity()))
     assert recording.notes == () and recording.sure == 1
+
+
+K = np.array([[70.0, 0, 39.5], [0, 70, 29.5], [0, 0, 1]])
+OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # from optical axes to those of a body
+BOARDS = (  # a point, a direction across and half a width, metres: a corner of a room, and boards on its floor
+    ((4.0, 0.0), (0.0, 1.0), 3.0), ((2.0, 1.4), (1.0, 0.1), 3.0), ((2.6, -0.3), (0.5, 0.8), 0.3),
+    ((3.0, 0.7), (0.9, -0.3), 0.25),
+)  # fmt: skip
+
+
+def pictured(place: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Depth of the floor and the boards, metres, from a place in a direction."""
+    v, u = np.mgrid[0:60, 0:80]
+    ways = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones((60, 80))], -1) @ turn.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(ways[..., 2] < 0, -place[2] / ways[..., 2], 9.0)
+        for middle, across, wide in BOARDS:
+            across = np.array(across) / np.linalg.norm(across)
+            normal = np.array([-across[1], across[0]])
+            far = (np.array(middle) - place[:2]) @ normal / (ways[..., :2] @ normal)
+            beside = (place[:2] + far[..., None] * ways[..., :2] - middle) @ across
+            depth = np.where((far > 0) & (np.abs(beside) < wide), np.minimum(depth, far), depth)
+    return depth
+
+
+def log_of_cameras(path, mirrored: tuple[str, ...], yaw: float):
+    """Two depth cameras of one room, the second turned by `yaw` degrees; images of some are mirrored."""
+    log, rng = Log(), np.random.default_rng(0)
+    poses = {"one": (np.array([0, 0, 1.2]), 0.0), "two": (np.array([0.1, -yaw / 50, 1.3]), yaw)}
+    for name, (place, angle) in poses.items():
+        turn = Rotation.from_euler("zy", [angle, 15], degrees=True).as_matrix() @ OPTICAL
+        q = tuple(Rotation.from_matrix(turn).as_quat().tolist())
+        log.add("/tf_static", START, ros_tf((START, "base", name, tuple(place.tolist()), q)))
+        log.add(f"/{name}/camera_info", START, ros_calibration(name, K, size=(60, 80)))
+        depth = pictured(place, turn)[:, :: -1 if name in mirrored else 1]
+        for i in range(12):
+            at = START + i * 100_000_000
+            log.add(f"/{name}/depth", at, ros_image(at, name, depth + rng.normal(0, 0.004, depth.shape)))
+    return log.write(path)
+
+
+@pytest.mark.parametrize(("yaw", "sure"), [(15.0, 1.0), (0.0, 0.5)])
+def test_a_mirrored_camera_is_turned_round_and_said(yaw, sure, tmp_path):
+    """Beside a right one that looks elsewhere; of two that look the same way nothing tells which is mirrored."""
+    right, found = (read_log(log_of_cameras(tmp_path / f"{m}.mcap", m, yaw)) for m in ((), ("two",)))
+    assert right.sure == 1 and not right.notes and found.sure == sure
+    (note,) = [note for note in found.notes if "mirrored left to right" in note]
+    assert "read.mirror" in note and ("nothing tells which" in note) == (sure < 1)
+    second = [frame.points[frame.sensor == 1] for frame in (right.frames[0], found.frames[0])]
+    assert np.median(np.linalg.norm(second[0] - second[1], axis=1)) < 0.03
+    said = read_log(tmp_path / f"{('two',)}.mcap", ReadSettings(mirror=("/two/depth=x",)))
+    assert said.sure == 1 and not said.notes
 
 
 def patch(normal, middle, rng, size: float = 1.0) -> Surface:

@@ -10,7 +10,7 @@ import voodoo_jax as vj
 from tests.support.logs import START, STORE, Log, header, ros_pose
 from voodoo_jax.io.convert.sources import convert
 from voodoo_jax.io.convert.target import ConvertError
-from voodoo_jax.model.marker_names import numbered_names
+from voodoo_jax.model.marker_names import orders, readings
 
 FRAMES = 5
 SEP = 80 * "=" + "\nMSG: "
@@ -109,16 +109,61 @@ def poses(i, places):
     return STORE.types["geometry_msgs/msg/PoseArray"](header(START + 33_000_000 * i, "map"), made)
 
 
-def test_poses_without_names(tmp_path):
-    """As many as a net or a tracker has joints; particles of a filter are none."""
-    log = Log()
-    for i, frame in enumerate(AT):
-        log.add("/body", START + 33_000_000 * i, poses(i, frame[:17]))
-        log.add("/particles", START + 33_000_000 * i, poses(i, frame[:20]))
+def standing() -> dict[tuple[str, str], np.ndarray]:
+    """Somebody with one arm ahead, by side and name, metres."""
+    sides = {
+        "eye": (0.1, 0.03, 1.62), "ear": (0.0, 0.08, 1.6), "shoulder": (0, 0.2, 1.42), "elbow": (0, 0.25, 1.1),
+        "wrist": (0.05, 0.27, 0.85), "hip": (0, 0.1, 0.93), "knee": (0, 0.11, 0.5), "ankle": (0, 0.12, 0.08),
+        "hand": (0.06, 0.27, 0.78), "handtip": (0.07, 0.27, 0.7), "thumb": (0.09, 0.25, 0.8), "foot": (0.14, 0.12, 0.0),
+        "bigtoe": (0.17, 0.1, 0.0), "smalltoe": (0.15, 0.17, 0.0), "heel": (-0.06, 0.12, 0.0),
+        "clavicle": (0.05, 0.03, 1.4),
+    }  # fmt: skip
+    middle = {"nose": (0.12, 0, 1.58), "neck": (0, 0, 1.5), "head": (0, 0, 1.75), "pelvis": (0, 0, 0.95)}
+    middle |= {"spinenavel": (0, 0, 1.1), "spinechest": (0, 0, 1.3)}
+    middle |= {
+        "midhip": middle["pelvis"],
+        "spinebase": middle["pelvis"],
+        "spine": (0, 0, 1.15),
+        "spinemid": (0, 0, 1.15),
+    }
+    middle |= {"spineshoulder": (0, 0, 1.42), "torso": (0, 0, 1.2)}
+    made = {("", name): np.array(at, float) for name, at in middle.items()}
+    for side, sign in (("l", 1), ("r", -1)):
+        made |= {(side, name): np.array(at) * [1, sign, 1] for name, at in sides.items()}
+    return made | {("l", "elbow"): np.array((0.3, 0.2, 1.4)), ("l", "wrist"): np.array((0.55, 0.2, 1.4))}
+
+
+def in_order(names) -> np.ndarray:
+    """Places of the points of a system's order [point, 3]."""
+    at = standing()
+    return np.array([next(at[r] for r in readings(name) if r in at) for name in names])
+
+
+@pytest.mark.parametrize(
+    ("count", "system"),
+    [(15, "nite"), (17, "coco"), (17, "h36m"), (17, "mpi_inf_3dhp"), (25, "openpose"), (25, "kinect_v2"), (32, None)],
+)
+def test_poses_without_names(count, system, tmp_path):
+    """As many as a net or a tracker has joints; of orders with so many points, the one that makes a person of them.
+    Particles of a filter are none."""
+    names = orders(count)[system or next(iter(orders(count)))]
+    places, log = in_order(names), Log()
+    for i in range(4):
+        log.add("/body", START + 33_000_000 * i, poses(i, places + 0.01 * i))
+        log.add("/particles", START + 33_000_000 * i, poses(i, np.resize(places, (21, 3))))
     found = vj.read_log(log.write(tmp_path / "a.mcap"))
-    names = numbered_names(17)
-    assert names is not None and set(pairs(found)) == set(names)
-    np.testing.assert_allclose(pairs(found)["left_ankle"], AT[2, 15], atol=1e-6)
+    assert set(pairs(found)) == set(names)
+    ankle = next(name for name in names if ("l", "ankle" if system != "nite" else "foot") in readings(name))
+    np.testing.assert_allclose(pairs(found)[ankle], places[names.index(ankle)] + 0.02, atol=1e-6)
+
+
+def test_poses_in_an_unknown_order_have_no_names(tmp_path):
+    places, log = in_order(orders(17)["coco"])[np.random.default_rng(3).permutation(17)], Log()
+    for i in range(4):
+        log.add("/body", START + 33_000_000 * i, poses(i, places + 0.01 * i))
+    found = vj.read_log(log.write(tmp_path / "a.mcap"))
+    assert all(name.startswith("unnamed/") for name in pairs(found))
+    assert any("no order that is known" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("says", [True, False])

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.support.logs import START, Log, ros_calibration, ros_image, ros_tf
+from tests.support.logs import START, Log, T, ros_calibration, ros_image, ros_tf
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.as_shown import flat_share, word
+from voodoo_jax.io.container import LogError
 from voodoo_jax.io.log_reader import open_log, read_log, survey
 
 SIZE = (60, 80)
@@ -57,6 +58,29 @@ def test_brightness_and_confidence_are_no_depth(depth, other, tmp_path):
     assert uses[depth] == "depth image" and "no depth" in uses[other]
     alone = open_log(log(tmp_path / "b.mcap", {other: made}))  # nothing else is there
     assert alone.sensors == (other,)
+
+
+@pytest.mark.parametrize("values", [1, 2, 4])
+def test_flags_are_no_wall(values, tmp_path):
+    """An image of flags, or one that is saturated, is the same everywhere, as a wall straight ahead would be."""
+    flags = lambda z, i: 3.0 * (1 + np.floor(z - z.min()) % values)  # noqa: E731
+    path = log(tmp_path / "a.mcap", {"/camera/a": flags, "/camera/z": lambda z, i: z})
+    reader = open_log(path)
+    assert reader.sensors == ("/camera/z",) and any("'/camera/a' is left out: no depth" in n for n in reader.notes)
+
+
+@pytest.mark.parametrize(("encoding", "base", "says"), [("16UC1", 0.1, "has to be 32FC1"), ("32FC1", 0.0, "base 0")])
+def test_a_disparity_image_that_says_too_little_is_not_damaged(encoding, base, says, tmp_path):
+    image = ros_image(START, "optical", 10 / room(), encoding)
+    area = T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    made = T["stereo_msgs/msg/DisparityImage"](image.header, image, 70.0, base, area, 0.0, 64.0, 0.1)
+    path = log(tmp_path / "a.mcap", {})
+    out = (
+        Log().add("/camera/camera_info", START, ros_calibration("optical", K, size=SIZE)).add("/camera/d", START, made)
+    )
+    with pytest.raises(LogError, match=says) as refused:
+        open_log(out.write(path))
+    assert "damaged" not in str(refused.value) and "another version" not in str(refused.value)
 
 
 def test_of_two_depth_images_of_a_camera_one_is_used(tmp_path):

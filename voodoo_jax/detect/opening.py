@@ -67,8 +67,12 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
     times = np.linspace(begun, min(ended, begun + int(WINDOW * 1e9)), FRAMES).astype(np.int64)
     known = _surfaces(coarse, first, times)
     for topic in others if known else ():
-        mine = _surfaces(coarse, topic, times)
-        T, sure = correction(Surface(*map(np.concatenate, zip(*known))), mine, reader.up)
+        mine, there = _surfaces(coarse, topic, times), _joined(known)
+        T, sure = correction(there, mine, reader.up)
+        if (other := _mirrored(reader, (first, topic), times, there, mine, T)) is not reader:
+            reader, coarse = other, other.coarse(POINTS)
+            mine = _surfaces(coarse, topic, times)
+            T, sure = correction(there, mine, reader.up)
         away = max((_apart(one.points, T, STILL) for one in mine if len(one.points)), default=0.0)
         lines = "", ""
         if away > (OFF if sure else RIGHT) and reader.frame_name(topic) not in given:
@@ -77,6 +81,38 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
         T = T if lines[0] else STILL  # as it is read from now on
         known += [Surface(moved(one.points, T), one.normals @ T[:3, :3].T) for one in mine]
     return reader
+
+
+# 6 parameters: two sensors, and what is known of them
+def _mirrored(
+    reader: LogReader, topics: tuple[str, str], times: Int64[np.ndarray, " time"], there: Surface,
+    mine: Sequence[Surface], T: Float[np.ndarray, "4 4"],
+) -> LogReader:  # fmt: skip
+    """The reader with the second sensor's images mirrored, and a note, if they show what is `there` then and do not in
+    any pose as they are; the same reader otherwise. In doubt if mirroring the first sensor's does, too."""
+    (first, topic), up = topics, reader.up
+    least = max(SHARED, BETTER * max(_shared(there, mine, pose, up) for pose in (STILL, T)))
+    found = reader.mirrored(topic) if least < 1 else None
+    if found is None or _shared(there, _surfaces(found.coarse(POINTS), topic, times), STILL, up) <= least:
+        return reader
+    other = reader.coarse(POINTS).mirrored(first)
+    torn = other is not None and _shared(_joined(_surfaces(other, first, times)), mine, STILL, up) > least
+    found.sure *= TORN if torn else 1.0
+    found.say(
+        f"'{topic}' sees what '{first}' sees, too, if its images are mirrored left to right: taken so"
+        f"{f' (or those of {first!r} are: nothing tells which)' * torn}. read.mirror settles it: {topic}=x (or =none)."
+    )
+    return found
+
+
+def _shared(there: Surface, mine: Sequence[Surface], T: Float[np.ndarray, "4 4"], up: np.ndarray) -> float:
+    """See _Views.shared; 0 without points."""
+    mine = tuple(one for one in mine if len(one.points))
+    return _Views(there, KDTree(there.points), mine).shared(T, up) if mine and len(there.points) else 0.0
+
+
+def _joined(surfaces: Sequence[Surface]) -> Surface:
+    return Surface(*map(np.concatenate, zip(*surfaces)))
 
 
 def _say(reader: LogReader, topics: tuple[str, str], away: float, told: bool, lines: tuple[str, str]) -> None:

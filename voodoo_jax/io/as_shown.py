@@ -34,6 +34,7 @@ OTHER = {
 DEPTH = {"depth", "distance", "range", "dist"}
 FEWER = 0.5  # times the planes of the best image: who has no more is no depth; by hand
 FALLS = -0.5  # correlation of the logarithms: brightness falls with the distance; by hand
+FLAGS = 16  # different values that an image of flags or labels has at most; by hand
 STEP = 4  # every so many-th row and column is looked at
 
 
@@ -138,7 +139,8 @@ def compared(topics: dict[str, Topic], names: list[str]) -> tuple[dict[str, str]
     if len(names) < 2:
         return {}, {}
     shown = {name: calibrated(topics, name) for name in names}
-    share = {name: flat_share(*found)[0] if found is not None else 0.0 for name, found in shown.items()}
+    flags = {name: found is not None and _flags(found[1]) for name, found in shown.items()}
+    share = {n: 0.0 if found is None or flags[n] else flat_share(*found)[0] for n, found in shown.items()}
     order = sorted(names, key=lambda n: (-word(n) - round(4 * share[n]), topics[n].sample.encoding == DISPARITY, n))
     none: dict[str, str] = {}
     for name in names:
@@ -146,11 +148,17 @@ def compared(topics: dict[str, Topic], names: list[str]) -> tuple[dict[str, str]
             same = topics[best].sample.frame == topics[name].sample.frame
             if best == name or share[best] < FLAT or share[name] > FEWER * share[best]:
                 continue
-            if same or word(name) < 0 or _falls(shown[name], shown[best]):
+            if same or word(name) < 0 or flags[name] or _falls(shown[name], shown[best]):
                 text = "no depth, judged by its content: planes such as floor and walls are in"
                 none[name] = f"{text} '{best}' ({100 * share[best]:.0f} % of the pixels), and not in it"
                 break
     return none, {name: place for place, name in enumerate(order)}
+
+
+def _flags(values: np.ndarray) -> bool:
+    """Whether an image has so few different values that it is none of depth beside another one: each of them would be a
+    plane straight ahead, as a wall may be."""
+    return len(np.unique(values[np.isfinite(values) & (values > 0)])) <= FLAGS
 
 
 def _falls(one: tuple[np.ndarray, np.ndarray] | None, other: tuple[np.ndarray, np.ndarray] | None) -> bool:

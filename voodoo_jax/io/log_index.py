@@ -27,12 +27,13 @@ from voodoo_jax.io.decode.registry import (
 )
 from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of, without_held, without_placeholders
+from voodoo_jax.io.point_order import in_known_order
 from voodoo_jax.io.several_files import open_files
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic, Unused
 from voodoo_jax.io.topic_roles import UNSEARCHED, camera_topics, decide_uses
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
-from voodoo_jax.records.messages import PAIRS, Calibration, Features, Image, many, moved
+from voodoo_jax.records.messages import PAIRS, Calibration, Features, Image, Unusable, many, moved
 from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
 
@@ -114,6 +115,7 @@ class Scan:
                 topic.features.clear()
                 self._settle_unit(name, topic.gathered, settings)
                 topic.gathered = self._mirrored(name, without_held(name, topic.gathered, self.notes), settings)
+                topic.gathered = in_known_order(name, topic.gathered, self.notes)
         for name in self._mirrors(settings).keys() - self.topics.keys():
             self.notes.append(f"read.mirror does not count here: the log has no topic '{name}'.")
         if known:
@@ -162,7 +164,7 @@ class Scan:
         broken = [
             f"'{name}': {many(topic.broken)} cannot be decoded ({topic.error})."
             for name, topic in self.topics.items()
-            if topic.broken
+            if topic.broken and not topic.whole
         ]
         return [*self.log.damage, *broken]
 
@@ -196,8 +198,9 @@ class Scan:
             try:
                 content = self._decoder.message(schema, channel, message.data)
             except DECODE_ERRORS as error:
-                topic.broken += 1
-                topic.error = topic.error or plain(f"{type(error).__name__}: {error}", LONG)
+                topic.broken, whole = topic.broken + 1, isinstance(error, Unusable)
+                topic.whole &= whole
+                topic.error = topic.error or plain(f"{error}" if whole else f"{type(error).__name__}: {error}", LONG)
         if content is not None and topic.sample is None:
             topic.sample = content
             if isinstance(content, Image) and topic.kind == COLOUR_KIND:

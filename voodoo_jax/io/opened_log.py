@@ -130,6 +130,12 @@ class LogReader:
         other.sure *= sure
         return other
 
+    def mirrored(self, topic: str) -> "LogReader | None":
+        """The same log with a topic's images (clouds: x) mirrored left to right; None where read.mirror names it."""
+        if topic in check_pairs("read.mirror", self._settings.mirror):
+            return None
+        return self._with(mirrored={**self.measuring.mirrored, topic: 0})
+
     def leeway(self, topic: str) -> tuple[tuple[float, float], float]:
         """Uncertainty of a topic's crop offset, pixels across and down, and the focal length, pixels."""
         shape = shape_of(self.scan.topics[topic].sample)

@@ -204,7 +204,8 @@ def _no_depth(scan: Scan, features: bool) -> str:
         return f"'{scan.log.path}' has no depth that can be used: {said(lossy)}."
     if dead := [name for name in of[Problem.BROKEN] if scan.topics[name].kind in DEPTH_KINDS]:
         uses = "; ".join(f"'{name}': {scan.topics[name].error}" for name in dead)
-        return f"'{scan.log.path}': no depth message can be decoded ({uses}). Was it written by another version?"
+        hint = "" if all(scan.topics[name].whole for name in dead) else " Was it written by another version?"
+        return f"'{scan.log.path}': no depth message can be decoded ({uses}).{hint}"
     damage = " ".join(["", *scan.log.damage])
     if lost := [f"'{name}'" for name in of[Problem.LOST] if scan.topics[name].kind in DEPTH_KINDS]:
         return (

@@ -52,6 +52,7 @@ class Topic:
     log_times: list[int] = field(default_factory=list)
     sample: Any = None  # first message that could be decoded
     error: str = ""  # why the first broken message could not be
+    whole: bool = True  # whether broken messages are so by their sender's making
     broken: int = 0
     calibration: Calibration | None = None
     given: Calibration | None = None  # by the settings, for this topic

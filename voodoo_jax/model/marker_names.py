@@ -36,11 +36,13 @@ _NOBODY = re.compile(
     r"\W*(unl\w*|unknown|unnamed|untitled|mkr|marker|trajectory)?[\W_]*\d+|[cmux]([\W_]+\d+|\d{2,})", re.IGNORECASE
 )
 
-# a net's word for its points and a number; bare numbers may be anybody's
+# a net's word for its points, perhaps how many there are, and a number; bare numbers may be anybody's
 _COUNTED = re.compile(
-    r"(.*(?:landmark|key_?point|kpt?|joint|skeleton|pose|coco|body_25|blazepose|mediapipe|openpose)s?)[\W_]*(\d+)",
+    r"(.*(?:landmark|key_?point|kpt?|joint|skeleton|pose|coco|body_25|blazepose|mediapipe|openpose)s?(?: of (\d+))?)"
+    r"[\W_]*(\d+)",
     re.IGNORECASE,
 )
+JOINT = "joint of {}/"  # what a point without a name is called, of so many, before its number
 MANY = 0.5  # of a set's numbers, at least, and its last one: others are never seen; by hand
 
 
@@ -53,7 +55,7 @@ class MarkerSet:
     middle: tuple[tuple[re.Pattern, str], ...]
     sides: tuple[tuple[re.Pattern, str], ...]
     numbered: tuple[str, ...]  # names that numbers stand for, of several bodies: 100 times the body's and the point's
-    numbers: tuple[tuple[str, ...], ...]  # names that numbers stand for, of systems with so many points each
+    numbers: Mapping[str, tuple[str, ...]]  # names that numbers stand for, of systems with so many points each
     newington: bool  # whether its hips are defined by the Newington regression
 
     def find(self, name: str, there: Collection[str] | None = None) -> str | None:
@@ -120,16 +122,21 @@ def _parsed(text: str) -> MarkerSet:
     content = tomllib.loads(text)
     table = lambda key: tuple((re.compile(name), place) for name, place in content.get(key, {}).items())  # noqa: E731
     numbered, newington = tuple(content.get("numbered", ())), content.get("hips") == "newington"
-    numbers = tuple(map(tuple, content.get("numbers", {}).values()))
+    numbers = {system: tuple(names) for system, names in content.get("numbers", {}).items()}
+    numbers |= {content["title"]: numbered} if numbered else {}
     one = content["title"], content.get("weight"), table("middle"), table("sides")
     return MarkerSet(*one, numbered, numbers, newington)
 
 
-@lru_cache(maxsize=16)
+def orders(count: int) -> dict[str, tuple[str, ...]]:
+    """Names of the points of all systems with this number of points, which only their order identifies."""
+    tables = (one.numbers.items() for one in marker_sets())
+    return {system: names for some in tables for system, names in some if len(names) == count}
+
+
 def numbered_names(count: int) -> tuple[str, ...] | None:
-    """Names of the points of a system with this number of points, which only their order identifies; None: no such
-    system is known."""
-    return next((table for one in marker_sets() for table in one.numbers if len(table) == count), None)
+    """The names of the first system with this number of points; None: no such system is known."""
+    return next(iter(orders(count).values()), None)
 
 
 def split_place(place: str) -> tuple[str, float | None]:
@@ -204,17 +211,28 @@ def _numbered(names: Mapping[str, str]) -> dict[str, dict[str, str]]:
 
 
 def _behind_a_word(names: Mapping[str, str]) -> dict[str, str]:
-    """Meanings of numbers behind one word for key points in the set with this number of points; empty without such a
-    set."""
+    """Meanings of numbers behind one word for key points in the first set with this number of points; empty without
+    such a set."""
+    count, found = counted(names)
+    table = numbered_names(count)
+    if table is None or len(set(found.values())) < MANY * count:
+        return {}
+    return {name: table[number] for name, number in found.items()}
+
+
+def counted(names: Mapping[str, str]) -> tuple[int, dict[str, int]]:
+    """The number behind one word for key points that each name is, and how many there are of these; 0 and none if not
+    all are such names.
+
+    **Arguments:** `names` full name and the name without the subject's.
+    """
     read = {name: _COUNTED.fullmatch(rest) for name, rest in names.items()}
-    found = {name: (one[1], int(one[2])) for name, one in read.items() if one}
-    if len(found) < len(names) or len({word for word, _ in found.values()}) != 1:
-        return {}
+    found = {name: (one[1], int(one[3])) for name, one in read.items() if one}
+    if not found or len(found) < len(names) or len({word for word, _ in found.values()}) != 1:
+        return 0, {}
+    told = next(one[2] for one in read.values() if one)
     most = max(number for _, number in found.values())
-    tables = [t for one in marker_sets() for t in one.numbers if len(t) == most + 1]
-    if not tables or len({number for _, number in found.values()}) < MANY * (most + 1):
-        return {}
-    return {name: tables[0][number] for name, (_, number) in found.items()}
+    return max(int(told or 0), most + 1), {name: number for name, (_, number) in found.items()}
 
 
 def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[str]) -> Known:

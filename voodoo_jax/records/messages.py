@@ -16,6 +16,10 @@ RAYS, PAIRS = "2D features", "named points"
 FARTHEST = 1e9  # larger numbers are none of metres or pixels, and overflow later
 
 
+class Unusable(ValueError):
+    """A message is whole, and its sender did not say what it takes to use it."""
+
+
 @dataclass(frozen=True)
 class Cloud:
     """A point cloud as it lies in the message: `grid` is a structured [row, column] view with x, y, z and the other

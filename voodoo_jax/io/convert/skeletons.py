@@ -18,19 +18,12 @@ import numpy as np
 from jaxtyping import Float
 
 from voodoo_jax.io.convert.target import START_NS, ConvertError, check_points, content, new_log, putter, scene_of_points
-from voodoo_jax.model.marker_names import numbered_names
+from voodoo_jax.model.marker_names import numbered_names, orders
 from voodoo_jax.storage.guarded import Answer
 
 TOPIC, OPTICAL, CAMERA = "/skeletons", "depth_optical", "camera"
 MILLIMETRE = 0.001
 NTU_HZ, NOT_TRACKED = 30.0, 0  # frames a second of NTU RGB+D; the state of a joint of which nothing is known
-# Shahroudy 2016: JointType of Kinect for Windows SDK 2.0
-KINECT_V2 = (
-    "spine_base", "spine_mid", "neck", "head", "shoulder_left", "elbow_left", "wrist_left", "hand_left",
-    "shoulder_right", "elbow_right", "wrist_right", "hand_right", "hip_left", "knee_left", "ankle_left", "foot_left",
-    "hip_right", "knee_right", "ankle_right", "foot_right", "spine_shoulder", "hand_tip_left", "thumb_left",
-    "hand_tip_right", "thumb_right",
-)  # fmt: skip
 WRONG = (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError, RecursionError)
 Bodies = dict[str, dict[str, Float[np.ndarray, "3"]]]  # joints by name, metres, by the body's number
 Told = tuple[list[tuple[int, Bodies]], str, str]  # bodies with their stamps (nanoseconds), their frame, and its up
@@ -111,14 +104,15 @@ def _zed(frame: dict[str, Any]) -> tuple[int, Bodies]:
 def _ntu(text: str) -> Told:
     words: Iterator[list[str]] = (line.split() for line in text.splitlines() if line.strip())
     frames: list[tuple[int, Bodies]] = []
+    names = orders(25)["kinect_v2"]
     for number in range(int(next(words)[0])):
         found: Bodies = {}
         for _ in range(int(next(words, ["0"])[0])):  # some files end early
             body, count = next(words)[0], int(next(words)[0])
             rows = [next(words) for _ in range(count)]
-            if count != len(KINECT_V2):
-                raise ValueError(f"a body has {count} joints, a Kinect v2's {len(KINECT_V2)}")
-            seen = {n: np.array(row[:3], float) for n, row in zip(KINECT_V2, rows) if int(row[11]) != NOT_TRACKED}
+            if count != len(names):
+                raise ValueError(f"a body has {count} joints, a Kinect v2's {len(names)}")
+            seen = {n: np.array(row[:3], float) for n, row in zip(names, rows) if int(row[11]) != NOT_TRACKED}
             found[body] = seen
         frames.append((round(number / NTU_HZ * 1e9), found))
     return frames, CAMERA, "y"

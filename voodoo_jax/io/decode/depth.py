@@ -15,6 +15,7 @@ from voodoo_jax.records.messages import (
     Calibration,
     Cloud,
     Image,
+    Unusable,
     frame_name,
     pb_stamp,
     ros_stamp,
@@ -46,10 +47,11 @@ def _ros_disparity(m: Any) -> Image:
     """The depth f T / d (REP 118: stereo_msgs/DisparityImage); 0 where nothing was matched."""
     image = _ros_image(m.image)
     if image.raw is None or image.encoding.upper() != "32FC1":
-        raise ValueError(f"a disparity image of encoding '{image.encoding}': it has to be 32FC1")
-    metres = abs(float(m.f) * float(getattr(m, "t", None) or getattr(m, "T", 0.0)))  # ROS 1 has a capital
+        raise Unusable(f"a disparity image of encoding '{image.encoding}': its unit is not known. It has to be 32FC1")
+    base = float(getattr(m, "t", None) or getattr(m, "T", 0.0))  # ROS 1 has a capital
+    metres = abs(float(m.f) * base)
     if not 0 < metres < np.inf:
-        raise ValueError("a disparity image without focal length or base")
+        raise Unusable(f"a disparity image with focal length {float(m.f):g} and base {base:g}: no distances follow")
     with np.errstate(invalid="ignore", divide="ignore"):
         matched = np.isfinite(image.raw) & (image.raw > max(float(m.min_disparity), 0.0))
         depth = np.where(matched, np.float32(metres) / image.raw, np.float32(0))

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.model.marker_names import numbered_names
+from voodoo_jax.model.marker_names import JOINT, orders
 from voodoo_jax.records.messages import (
     PAIRS,
     RAYS,
@@ -116,12 +116,12 @@ def _marker(m: Any) -> list[Named]:
 
 def _ros_poses(m: Any) -> Features:
     """Joints of a body without names, identified by their number; other arrays (particles, paths) are not joints."""
-    names, stamp = numbered_names(len(m.poses)), ros_stamp(m.header)
+    count, stamp = len(m.poses), ros_stamp(m.header)
     items, frame = [], frame_name(m.header.frame_id)
-    for name, pose in zip(names or (), m.poses):
+    for number, pose in enumerate(m.poses if orders(count) else ()):
         place = xyz(pose.position)
         if not _missing(place, xyzw(pose.orientation)):
-            items.append(Named(name, "", frame, stamp, place))
+            items.append(Named(f"{JOINT.format(count)}{number}", "", frame, stamp, place))
     return features(stamp, items, 3)
 
 

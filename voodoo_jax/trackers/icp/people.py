@@ -30,6 +30,7 @@ from voodoo_jax.solve.scan import State, Visit, at_rest, options_from
 from voodoo_jax.storage.cores import at_once
 from voodoo_jax.trackers.base import Task
 from voodoo_jax.trackers.icp.misfit import AROUND, body_distance, evenly
+from voodoo_jax.trackers.icp.reflections import IMAGE, reflected
 from voodoo_jax.trackers.icp.runner import LONG, Runner
 from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
@@ -193,7 +194,7 @@ def _nearest(
 
 
 def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
-    """Tracks a body for each person, see find_people."""
+    """Tracks a body for each person, see find_people; `person` is 0 for reflections of other people."""
     settings, visit = task.settings, task.visit
     frames, repeats = subjects[0].frames, settings.looks_ahead("track") and not settings.changes
     added = max(0, settings.start.frames - len(frames)) if frames and repeats else 0
@@ -222,8 +223,13 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
     found = each(placed, people)
     if several:
         found = [replace(t, status=_doubted(s, t.status)) for s, t in zip(subjects, found)]
-    found = [t.since(added) for t in found]
-    return [replace(t, person=s.number, people=len(subjects)) for s, t in zip(subjects, found)]
+    images = reflected(subjects, found) if shares else {}
+    for person, away in images.values():
+        found[person] = replace(found[person], notes=(*found[person].notes, IMAGE.format(away)))
+    found, many = [t.since(added) for t in found], len(subjects) - len(images)
+    return [
+        replace(t, person=0 if k in images else s.number, people=many) for k, (s, t) in enumerate(zip(subjects, found))
+    ]
 
 
 def _tracked(work: tuple[Task, Subject, int]) -> Unplaced:
@@ -231,8 +237,8 @@ def _tracked(work: tuple[Task, Subject, int]) -> Unplaced:
 
 
 def main_first(found: list[Tracks]) -> list[int]:
-    """The order of people: those seen longest first, but uncertain people last."""
-    return sorted(range(len(found)), key=lambda k: not found[k].tracked.any())
+    """The order of people: those seen longest first, but uncertain people last, and without images of others."""
+    return sorted((k for k, t in enumerate(found) if t.person), key=lambda k: not found[k].tracked.any())
 
 
 def numbered(found: list[Tracks], order: list[int]) -> list[Tracks]:
