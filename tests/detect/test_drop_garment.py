@@ -1,5 +1,6 @@
 """A skirt goes, and the person in it stays; legs, chairs and boxes beside somebody are none."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -87,4 +88,9 @@ def test_points_that_are_said_to_be_on_the_body_stay(rng):
         BodyObservation(f.time_ns, f.points, f.sensor, f.origins, part=np.zeros(len(f.points), np.int32))
         for f in frames(rng, IN_SKIRT, SKIRT)
     ]
+    assert [len(f.points) for f in left(given)] == [len(f.points) for f in given]
+
+
+def test_in_matched_images_legs_are_as_wide_as_a_skirt(rng):
+    given = [replace(f, matched=True) for f in frames(rng, IN_SKIRT, SKIRT)]
     assert [len(f.points) for f in left(given)] == [len(f.points) for f in given]

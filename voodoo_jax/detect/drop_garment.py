@@ -53,7 +53,9 @@ class DropGarment(WindowStage):
     link: float = 3.0  # times the distance of neighbouring points: points so near in a slice are of one piece
 
     def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
-        return window if shows_lying_person(window, target) else self.without(window, target.finder.scene.floor)
+        if shows_lying_person(window, target) or any(frame.matched for frame in window):
+            return window  # between two legs matched images have points, too, as wide as the block that is matched
+        return self.without(window, target.finder.scene.floor)
 
     def without(self, frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
         """The frames without such a piece; the same frames if there is none."""

@@ -92,7 +92,7 @@ def frame_residuals(
         gap = jnp.where(frame.known[:, None], at - frame.truth, 0.0)
         return (as_distances(gap) / JOINT_SD).reshape(-1)
     off = surface_distance(body, x, vectors(frame.points))
-    best = jnp.argmin(jax.lax.stop_gradient(jnp.abs(off) + clothed(frame.bare)), 0)
+    best = jnp.argmin(jax.lax.stop_gradient(jnp.abs(off) + clothed(body, frame.bare)), 0)
     off = jnp.take_along_axis(off, best[None], 0)[0]
     count = jax.ops.segment_sum(frame.held, best, PARTS)
     share = jnp.sqrt((PER_LIMB * frame.news / (count + FEW))[best] * frame.held)

@@ -1,6 +1,7 @@
 """Colours of skin are told from clothes and the room; the face's depth is found in pairs that have no other depth."""
 
 import numpy as np
+import pytest
 
 import voodoo_jax as vj
 from voodoo_jax.geometry.plane import Plane
@@ -8,7 +9,8 @@ from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.simulate.colour import simulate_colour, stereo_cameras
 from voodoo_jax.simulate.mcap import write_colour
 from voodoo_jax.simulate.motion import make_motion, placed
-from voodoo_jax.trackers.flexible.head import HeadFilter, find_start
+from voodoo_jax.trackers.flexible.flexible_body import LIMBS, flexible_body
+from voodoo_jax.trackers.flexible.head import HeadFilter, find_start, with_bare_legs
 from voodoo_jax.trackers.flexible.image_features import Extractor, SkinModel, cells, depth_points
 
 SKIN, SHIRT, TROUSERS, ROOM = (110, 150, 205), (160, 90, 40), (60, 40, 30), (140, 160, 175)  # blue, green, red
@@ -71,3 +73,25 @@ def test_depth_of_the_face_alone_needs_no_image_again(tmp_path):
     found = head(sparse)
     assert found is not None and np.linalg.norm(found - true) < 0.06
     assert head(sparse._replace(pair=np.zeros_like(sparse.pair))) is None  # nothing else tells its depth
+
+
+@pytest.mark.parametrize(("thigh", "shank"), [(0.0, 0.0), (0.1, 0.6), (0.6, 0.6)])
+def test_legs_on_which_skin_is_seen_as_on_the_face_are_bare(rng, thigh, shank):
+    model = flexible_body(vj.human(), 1.75)
+    x = np.asarray(model.rest)
+    bones = [(x[rows[k]], x[rows[k + 1]]) for rows in LIMBS[2:] for k in range(2)]
+    ends = [(x[0], x[0]), *bones]
+    points = np.concatenate([a + rng.uniform(0.1, 0.9, (50, 1)) * (b - a) + [0.05, 0, 0] for a, b in ends])
+    skin = np.repeat(np.array([0.6, *(thigh, shank) * 2], np.float32), 50)
+    found = with_bare_legs(model, x, points.astype(np.float32), np.ones(250, np.float32), skin)
+    covered, usual = np.asarray(found.covered), np.asarray(model.covered)
+    np.testing.assert_array_equal(covered[[6, 7, 8]], covered[[9, 10, 11]])
+    for part, share in ((6, thigh), (7, shank)):
+        if share == 0:
+            assert covered[part] == 1
+        elif share == 0.6:
+            assert covered[part] < 0.05
+        else:
+            assert 0.3 < covered[part] < 0.7
+    others = [*range(6), 8, 12, 13, 14]  # nothing is seen on feet
+    np.testing.assert_array_equal(covered[others], usual[others])

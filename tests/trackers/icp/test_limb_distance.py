@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from voodoo_jax.trackers.icp.misfit import signed_distance
+from voodoo_jax.trackers.shared.leftovers import signed_distance
 
 
 def test_round_limb_as_trimesh():

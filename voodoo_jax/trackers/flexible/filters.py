@@ -248,7 +248,7 @@ def _build_context(
     hidden = occlusion(body, x, given.view)
     used = len(given.points) if shape.points else 0
     if shape.points:
-        d = jnp.abs(surface_distance(body, x, vectors(given.points))) + clothed(given.bare)
+        d = jnp.abs(surface_distance(body, x, vectors(given.points))) + clothed(body, given.bare)
         own = np.concatenate([np.repeat(np.eye(4, dtype=bool), 3, 1), np.zeros((4, 3), bool)], 1)
         others = kept(given.view.focal[0] > 0, lambda d: jnp.min(jnp.where(own[..., None], 10.0, d), 1), d)
     else:
@@ -263,11 +263,9 @@ def _build_context(
     )  # fmt: skip
 
 
-def clothed(bare: Float[Array, " point"]) -> Float[Array, "part point"]:
-    """Distance added between skin points and clothed parts, metres: skin belongs to a face, an arm or a hand."""
-    covered = np.ones((PARTS, 1), np.float32)
-    covered[:6] = covered[12] = 0
-    return _NOT_CLOTHES * jnp.asarray(covered) * bare
+def clothed(body: FlexibleBody, bare: Float[Array, " point"]) -> Float[Array, "part point"]:
+    """Distance added between skin points and clothed parts, metres."""
+    return _NOT_CLOTHES * body.covered[:, None] * bare
 
 
 def carried_on(state: State, n: Numbers) -> Float[Array, "4 particle 3 3"]:
@@ -354,7 +352,7 @@ def pulled(
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """The body's points after measured points have pulled the nearest axes and patches."""
     q = vectors(points)
-    distance = jnp.abs(surface_distance(body, x, q)) + (0.0 if bare is None else clothed(bare))
+    distance = jnp.abs(surface_distance(body, x, q)) + (0.0 if bare is None else clothed(body, bare))
     best = kept(body.stature > 0, partial(jnp.argmin, axis=0), lax.stop_gradient(distance))
     near = nearest_places(body, x, q, best)
     d = near.distance
@@ -382,7 +380,7 @@ def _summarise(
     mine = jax.nn.one_hot(best, PARTS) * given.share[:, None]
     support = mine.sum(0)
     off = jnp.sqrt((mine * nearest[:, None] ** 2).sum(0) / jnp.maximum(support, 1e-6))
-    cap, bare = n.weighing.cap, jnp.min(d + clothed(given.bare), 0)
+    cap, bare = n.weighing.cap, jnp.min(d + clothed(body, given.bare), 0)
     far = jnp.sum(given.share * (jnp.minimum(bare, cap) / cap) ** 2) / total
     image = jnp.sum(log_weight(score._replace(points=jnp.zeros(4)), n.weighing))
     level = lambda v: unit(v - jnp.sum(v * given.up) * given.up)  # noqa: E731

@@ -78,6 +78,7 @@ class FlexibleBody(eqx.Module):
     torso: Float[Array, "2"]  # half depth of the torso; radius of its rounded edge, metres
     skull: Float[Array, "2"]  # radius of the head; height of its top above the head point, metres
     stature: Float[Array, ""]  # metres
+    covered: Float[Array, " part"]  # how unlikely skin is on each part, 0..1, see cylinders
 
 
 class Colouring(NamedTuple):
@@ -154,6 +155,7 @@ def flexible_body(body: Body, stature: Float[Any, ""] | float) -> FlexibleBody:
         torso=jnp.asarray(np.array([0.055, 0.053], np.float32) * (trunk * stature), jnp.float32),
         skull=jnp.asarray(np.array([0.052, 0.045], np.float32) * (skull * stature), jnp.float32),
         stature=jnp.asarray(stature, jnp.float32),
+        covered=jnp.asarray(np.repeat(np.array([0, 1, 0, 1], np.float32), [6, 6, 1, 2])),  # legs and trunk
     )
 
 

@@ -2,15 +2,19 @@
 finds the start: stature, heading and first pose. Host side.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Float32
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.trackers.flexible.cylinders import surface_distance
+from voodoo_jax.trackers.flexible.flexible_body import FlexibleBody
 from voodoo_jax.trackers.flexible.image_features import Features, SkinModel, depth_points
+from voodoo_jax.trackers.flexible.vectors import vectors
 
 FACE = (0.045, 0.055)  # half width and height of the face, shares of stature, measured on rendered people
 BEHIND = 0.05  # distance of the head point behind the face's skin, share of stature: measured on rendered people
@@ -25,6 +29,7 @@ _UNSEEN = 1.014  # stature over the height of the highest stereo points: hair ha
 _SURE = 0.25
 # of the particles' weights, and their spread in pixels; measured: 9 and 21, 3.3 and 7.5 are 0.1 to 0.4 cm worse
 _SHARPNESS, _NOISE = 14.0, 5.0
+_STRAY = 0.03  # share of clothes with colours of skin: measured, trunks in 13 logs of experiments/stereo (median)
 _BORDER = 3  # pixels around the face that OpenCV reads for corners: three windows of three; more gives the same
 _VELOCITY = 0.5  # share of the last motion that persists, as for limbs in the paper
 
@@ -102,6 +107,20 @@ def first_pose(
         x[rows] = turn.apply(x[rows] - x[root]) + x[root]
     frame = np.stack([np.cross(begin.left, up), begin.left, up])
     return ((x - x[0]) @ frame + begin.head).astype(np.float32)
+
+
+def with_bare_legs(
+    model: FlexibleBody, x: Float32[np.ndarray, "16 3"], points: Float32[np.ndarray, "point 3"],
+    share: Float32[np.ndarray, "point"], bare: Float32[np.ndarray, "point"],
+) -> FlexibleBody:  # fmt: skip
+    """The body with legs that are covered as little as a frame shows in the pose `x`: the logarithm of the share of
+    skin on them, as a share of that on the face. Both legs alike. See `chosen_points` for the arguments."""
+    near = np.abs(np.asarray(surface_distance(model, jnp.asarray(x), vectors(points)))).argmin(0)
+    seen = lambda *parts: bare[np.isin(near, parts)].sum() / (share[np.isin(near, parts)].sum() + 1)  # noqa: E731
+    covered, face = np.array(model.covered), max(seen(12), _STRAY)
+    for thigh in range(6, 9):
+        covered[[thigh, thigh + 3]] *= np.log(np.clip(seen(thigh, thigh + 3) / face, _STRAY, 1)) / np.log(_STRAY)
+    return replace(model, covered=jnp.asarray(covered))
 
 
 @dataclass

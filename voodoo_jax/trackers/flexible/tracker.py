@@ -1,7 +1,7 @@
 """The flexible tracker on a whole recording: from features, points and head to filters and tracks. Host side."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,11 +13,13 @@ from scipy.ndimage import gaussian_filter1d
 
 from voodoo_jax.compile.executable import seconds_of_waiting
 from voodoo_jax.config.options import FlexibleSettings, Settings
+from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Evidence, Status, Tracks
 from voodoo_jax.trackers.base import LogInfo, Progress, Unsuitable
 from voodoo_jax.trackers.flexible.confidence import rate_joints
@@ -31,16 +33,18 @@ from voodoo_jax.trackers.flexible.flexible_body import (
     rest_points,
 )
 from voodoo_jax.trackers.flexible.guesses import Guesses
-from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose
+from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose, with_bare_legs
 from voodoo_jax.trackers.flexible.image_features import SkinModel
 from voodoo_jax.trackers.flexible.observed import Observed, chosen_points, looks, observe, uses_dense, view_of
 from voodoo_jax.trackers.flexible.physics import NO_FLOOR
 from voodoo_jax.trackers.flexible.poses import centres_of, limb_poses
 from voodoo_jax.trackers.flexible.scores import Weighing, log_weight
 from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
+from voodoo_jax.trackers.shared.leftovers import FURNITURE_NOTE, Leftovers
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 NOBODY = "Nobody was found."
+LEFTOVERS = Leftovers()
 CHUNK = 16  # frames per run of the program, limited by the images' memory: any gives the same
 # greatest distance of a face from the person's highest points, share of stature: farther skin is a hand. Measured:
 # without it a punch is 1 cm worse
@@ -128,10 +132,17 @@ def followed(
     if on is None:
         nobody = nobody_of(body, seen.time_ns, seen.scene, source, fixed_frame, (*notes, NOBODY))
         return Followed(nobody, None, 0, SkinModel(), seen)
-    seen, order, states = on.seen, range(on.first, len(on.seen.features)), on.states
-    for i in order:
-        on.look(i)
-    states, every = filtered(on, states, seen, order, on.key, s, progress)
+    states, every = ahead(on, s, progress)
+    for _ in range(0 if settings.skips("track", "drop_unexplained", True) else LEFTOVERS.most):
+        left = without_furniture(
+            scaled(body, on.begin.stature), on.seen.people, on.first, chosen(every, descent(every))
+        )
+        again = None if left is None else begun(body, replace(on.seen, people=left), settings)
+        if again is None:
+            break
+        on, notes = again, (*notes, FURNITURE_NOTE) if FURNITURE_NOTE not in notes else notes
+        states, every = ahead(on, s)
+    seen, order = on.seen, range(on.first, len(on.seen.features))
     at = descent(every, settings.online)
     found = chosen(every, at)
     if s.backwards and not settings.online:
@@ -233,10 +244,31 @@ def begun(body: Body, seen: Observed, settings: Settings) -> Begun | None:
         return None
     model, shape, key = flexible_body(body, begin.stature), shape_of(s), jax.random.PRNGKey(s.seed)
     x = first_pose(np.asarray(model.rest), begin, seen.scene.floor.normal.astype(np.float32))
+    model = with_bare_legs(model, x, *chosen_points(seen, first, s, looks(seen, first, s, skin)))
     state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape)
     states = jax.tree.map(lambda a: jnp.repeat(a[None], shape.hypotheses, 0), state)
     guesses = None if shape.hypotheses == 1 or seen.scene.floor_open else Guesses(np.asarray(model.rest))
     return Begun(seen, skin, first, begin, Heads(seen, first, begin, skin, s), guesses, model, states, key)
+
+
+def ahead(on: Begun, s: FlexibleSettings, progress: Progress | None = None) -> tuple[State, Seen]:
+    """The pass forwards through all rows."""
+    order = range(on.first, len(on.seen.features))
+    for i in order:
+        on.look(i)
+    return filtered(on, on.states, on.seen, order, on.key, s, progress)
+
+
+def without_furniture(
+    body: Body, people: Sequence[BodyObservation], first: int, found: Seen
+) -> Sequence[BodyObservation] | None:
+    """The people of all rows without points at rest that the body, as it was found in the rows from `first` on, leaves
+    unexplained; None without any."""
+    segment, rows = Segment.blank(len(people), body.limb_count), slice(first, None)
+    segment.status[rows], segment.explained[rows] = Status.TRACKED, found.explained
+    segment.rotation[rows], segment.translation[rows] = limb_poses(body, np.asarray(found.x, float))
+    left = LEFTOVERS.without(list(people), [(0, body)], segment)
+    return None if left is None else spilled(left)
 
 
 def finished(on: Begun, nobody: Tracks, found: Seen, settings: Settings) -> Tracks:

@@ -16,6 +16,7 @@ from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.shared.confidence import EXPLAINED
+from voodoo_jax.trackers.shared.leftovers import signed_distance
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 # figures are of the log loss of the confidence (experiments/numbers), worse where positive
@@ -34,25 +35,6 @@ ALONG = 4  # places along a limb's axis that are looked at; measured: 2, 3 and 6
 # person that a sensor sees
 WIDER = 0.025
 BATCH = 100  # frames that are looked at at once: any gives the same
-
-
-def signed_distance(
-    size: Float[np.ndarray, "*limb 5"], points: Float[np.ndarray, "*point 3"]
-) -> Float[np.ndarray, "*point"]:
-    """Distances of points, in limb frames, from limbs with flat caps, metres; inside negative and to the side.
-
-    Across the limb by the ratio of its ellipse: exact on its surface and for round limbs.
-
-    **Arguments:** `size` of one limb, or of several, as can be broadcast to the points.
-    """
-    a0, b0, a1, b1, length = np.moveaxis(size, -1, 0)
-    x, y, z = np.moveaxis(points, -1, 0)
-    along = np.clip(z / np.maximum(length, 1e-6), 0, 1)
-    a, b = a0 + (a1 - a0) * along, b0 + (b1 - b0) * along
-    off, ratio = np.hypot(x, y), np.hypot(x / a, y / b)
-    across = np.where(ratio > 0, off * (1 - 1 / np.maximum(ratio, 1e-6)), -np.minimum(a, b))
-    beyond = np.maximum(np.maximum(-z, z - length), 0)
-    return np.where(beyond > 0, np.hypot(np.maximum(across, 0), beyond), across)
 
 
 def body_distance(

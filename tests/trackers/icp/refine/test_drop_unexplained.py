@@ -6,20 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.support.helpers import frustum_mesh, inside_body, scipy_rotation, seen_points
+from tests.support.beside_a_stool import BODY, COUNT, frames
+from tests.support.helpers import frustum_mesh, inside_body, scipy_rotation
 from tests.support.segments import tracked_segment
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.model.body import scaled
-from voodoo_jax.model.body_file import human
-from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained, distance_outside
+from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained
+from voodoo_jax.trackers.shared.leftovers import distance_outside
 
-BODY, COUNT = scaled(human(), 1.7), 40
 STAGE = DropUnexplained(among=())
-SENSOR = np.array([[3.0, 0.0, 1.2]], np.float32)
-STOOL = np.array([0.15, 0.3, 0.2])  # the middle of a round thing that touches a leg
 
 
 def tracked(explained: float = 0.93, status: int = Status.TRACKED) -> Segment:
@@ -27,20 +23,6 @@ def tracked(explained: float = 0.93, status: int = Status.TRACKED) -> Segment:
     rest = Poses(*(np.tile(np.array(x), (COUNT, 1, 1)) for x in (BODY.rest.rotation, BODY.rest.translation)))
     arrays = {"status": np.full(COUNT, status, np.int8), "explained": np.full(COUNT, explained, np.float32)}
     return tracked_segment(rest, **arrays)
-
-
-def frames(rng, stool: int = 300) -> list[BodyObservation]:
-    """The body in the rest pose, and so many points of the stool, always in the same directions."""
-    ball = rng.normal(size=(4 * stool, 3))
-    ball = (STOOL + 0.2 * ball / np.linalg.norm(ball, axis=1, keepdims=True))[ball[:, 0] > 0][:stool]
-    points = np.concatenate([seen_points(rng, BODY, BODY.rest, SENSOR[0], 1500), ball])
-    rays = points - SENSOR
-    distance = np.linalg.norm(rays, axis=1, keepdims=True)
-    out = []
-    for k in range(COUNT):
-        noisy = (SENSOR + rays * (1 + rng.normal(0, 0.008, distance.shape) / distance)).astype(np.float32)
-        out.append(BodyObservation(k * 33_000_000, noisy, np.zeros(len(noisy), np.int32), SENSOR, noise=0.008))
-    return out
 
 
 def test_how_far_points_are_outside_against_meshes(rng):
