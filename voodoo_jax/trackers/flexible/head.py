@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 import cv2
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Array, Float, Float32, Int
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.compile.executable import program
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.trackers.flexible.cylinders import surface_distance
 from voodoo_jax.trackers.flexible.flexible_body import FlexibleBody
@@ -109,13 +110,21 @@ def first_pose(
     return ((x - x[0]) @ frame + begin.head).astype(np.float32)
 
 
+@program
+def nearest_parts(
+    model: FlexibleBody, x: Float[Array, "16 3"], points: Float[Array, "point 3"]
+) -> Int[Array, " point"]:
+    """The part of the body in the pose `x` that is nearest to each point."""
+    return jnp.argmin(jnp.abs(surface_distance(model, x, vectors(points))), 0)
+
+
 def with_bare_legs(
     model: FlexibleBody, x: Float32[np.ndarray, "16 3"], points: Float32[np.ndarray, "point 3"],
     share: Float32[np.ndarray, "point"], bare: Float32[np.ndarray, "point"],
 ) -> FlexibleBody:  # fmt: skip
     """The body with legs that are covered as little as a frame shows in the pose `x`: the logarithm of the share of
     skin on them, as a share of that on the face. Both legs alike. See `chosen_points` for the arguments."""
-    near = np.abs(np.asarray(surface_distance(model, jnp.asarray(x), vectors(points)))).argmin(0)
+    near = np.asarray(nearest_parts(model, jnp.asarray(x), jnp.asarray(points)))
     seen = lambda *parts: bare[np.isin(near, parts)].sum() / (share[np.isin(near, parts)].sum() + 1)  # noqa: E731
     covered, face = np.array(model.covered), max(seen(12), _STRAY)
     for thigh in range(6, 9):

@@ -132,7 +132,7 @@ def followed(
     if on is None:
         nobody = nobody_of(body, seen.time_ns, seen.scene, source, fixed_frame, (*notes, NOBODY))
         return Followed(nobody, None, 0, SkinModel(), seen)
-    states, every = ahead(on, s, progress)
+    states, every = forward_pass(on, s, progress)
     for _ in range(0 if settings.skips("track", "drop_unexplained", True) else LEFTOVERS.most):
         left = without_furniture(
             scaled(body, on.begin.stature), on.seen.people, on.first, chosen(every, descent(every))
@@ -141,7 +141,7 @@ def followed(
         if again is None:
             break
         on, notes = again, (*notes, FURNITURE_NOTE) if FURNITURE_NOTE not in notes else notes
-        states, every = ahead(on, s)
+        states, every = forward_pass(on, s)
     seen, order = on.seen, range(on.first, len(on.seen.features))
     at = descent(every, settings.online)
     found = chosen(every, at)
@@ -251,8 +251,8 @@ def begun(body: Body, seen: Observed, settings: Settings) -> Begun | None:
     return Begun(seen, skin, first, begin, Heads(seen, first, begin, skin, s), guesses, model, states, key)
 
 
-def ahead(on: Begun, s: FlexibleSettings, progress: Progress | None = None) -> tuple[State, Seen]:
-    """The pass forwards through all rows."""
+def forward_pass(on: Begun, s: FlexibleSettings, progress: Progress | None = None) -> tuple[State, Seen]:
+    """The states after all rows and what was seen in each, by a pass forwards through the recording."""
     order = range(on.first, len(on.seen.features))
     for i in order:
         on.look(i)
