@@ -7,12 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.support.segments import blank_tracks
+from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.frames import placed_by
+from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.icp.refine.place_joints import (
     LEGS,
     LIMBS,
@@ -26,6 +30,7 @@ from voodoo_jax.trackers.icp.refine.place_joints import (
     sensor_places,
     waves,
 )
+from voodoo_jax.trackers.icp.runner import Runner
 
 BODY = on_host(scaled(human(), 1.8))
 COUNT = 60
@@ -161,6 +166,20 @@ def test_other_bodies_are_unknown(other):
     np.testing.assert_array_equal(persons_body(fitted).sizes, fitted.sizes)  # pyright: ignore
     longer = with_proportions(BODY, {"l_forearm": 1.05, "r_forearm": 1.05})  # as fit_forearms leaves them
     np.testing.assert_allclose(persons_body(longer).sizes, BODY.sizes, rtol=1e-5)  # pyright: ignore
+
+
+def test_a_fitted_body_knows_its_own_lengths():
+    """As measured for the package's own body, also with its forearms fitted to the log; a body in other proportions was
+    fitted to the person before."""
+    settings, none = Settings(), np.zeros((0, 3), np.float32)
+    frames = [BodyObservation(k, none, np.zeros(0, np.int32), np.float32(EYES[:1])) for k in range(COUNT)]
+    scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
+    options = options_from(settings.solve, settings.track, settings.features)
+    for limb, measured in (("forearm", True), ("thigh", False)):
+        body = with_proportions(BODY, {f"{side}_{limb}": 1.05 for side in "lr"})
+        found = STAGE(Runner(body, options, frames, scene, settings), standing(body=body))
+        assert (found.segments is not None) == measured
+        assert measured or found.segment_lengths() == segment_lengths(body)
 
 
 def test_one_sensor_wherever_it_goes():

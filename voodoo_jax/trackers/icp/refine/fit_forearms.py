@@ -61,7 +61,7 @@ class FitForearms:
 
     def fitted(self, body: Body, people: list[BodyObservation], names: FeatureNames, segment: Segment) -> Body:
         """The body with the forearms estimated from its tracks, or the same one. **Arguments:** as for `stretch`."""
-        found = stretch(body, people, names, segment) if _is_usual(body) else None
+        found = stretch(body, people, names, segment) if in_usual_proportions(body) else None
         if found is None:
             return body
         length = np.asarray(body.sizes)[body.topology.limbs.index("l_forearm"), 4]
@@ -110,12 +110,13 @@ def _gap(body: Body, poses: Poses, joint: int) -> Float[np.ndarray, " frame"]:
 
 
 @cache
-def _usual() -> Body:
+def usual_body() -> Body:
     """The default body, read once for all logs; on the host, for arrays of a traced call must not be kept."""
     return load_on_host("human")
 
 
-def _is_usual(body: Body) -> bool:
-    return body.topology == _usual().topology and np.allclose(
-        body.sizes, scaled(_usual(), float(body.scale)).sizes, rtol=1e-4, atol=0
+def in_usual_proportions(body: Body) -> bool:
+    """Whether a body is the package's own one in some scale, so that a person's proportions are not known."""
+    return body.topology == usual_body().topology and np.allclose(
+        body.sizes, scaled(usual_body(), float(body.scale)).sizes, rtol=1e-4, atol=0
     )

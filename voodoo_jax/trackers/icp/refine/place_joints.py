@@ -18,11 +18,11 @@ from jaxtyping import Float, Float64, Int
 
 from voodoo_jax.geometry.rigid import Poses, apply, on_host, rotate, unrotate
 from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.icp.joint_spread import MOVED, SHAPE
+from voodoo_jax.trackers.icp.refine.fit_forearms import in_usual_proportions, usual_body
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.shared.confidence import BATCH
 
@@ -213,7 +213,9 @@ class PlaceJoints:
         for first, last in zip([0, *others], [*others, len(run.people)]):  # bands of one body tell nothing of another
             for which, among in self.parts(first, last, ahead):
                 tracks = self.placed(body, tracks, eyes, band_gaps(body, tracks, among), which)
-        return replace(tracks, segments=measured_segments(tracks)) if ahead and not others else tracks
+        # a body in other proportions was fitted, and knows its lengths
+        measured = ahead and not others and in_usual_proportions(body)
+        return replace(tracks, segments=measured_segments(tracks)) if measured else tracks
 
     def parts(self, first: int, last: int, ahead: bool) -> list[tuple[slice, slice]]:
         """Parts of the frames with one body, and the frames whose bands are used for them: all frames of the body or,
@@ -251,11 +253,11 @@ class PlaceJoints:
         now = seen_in(body, tracks, frames, eyes)
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
-            known = learned()[name]
-            seen = self.gap_features(gaps_for(name, gaps), known)
+            regression = learned()[name]
+            seen = self.gap_features(gaps_for(name, gaps), regression)
             features = pose_features(body, centre, tracks, now)
             wide = np.broadcast_to(seen, (len(frames), len(seen)))
-            shift = np.concatenate([features, wide], 1) @ known.weights
+            shift = np.concatenate([features, wide], 1) @ regression.weights
             length = np.linalg.norm(shift, axis=1, keepdims=True)
             shift *= np.minimum(1.0, self.farthest / np.maximum(length, 1e-9)) * float(body.scale)
             if side == "r_":
@@ -265,10 +267,11 @@ class PlaceJoints:
             joints[frames, k] += shift.astype(joints.dtype)
         return replace(tracks, joints=joints, joint_covariance=covariance)
 
-    def gap_features(self, gaps: Gaps, known: Learned) -> Float64[np.ndarray, " gap"]:
+    def gap_features(self, gaps: Gaps, regression: Learned) -> Float64[np.ndarray, " gap"]:
         """Gaps in standard deviations from people's mean, less where little was seen of a joint."""
         share = np.repeat(gaps.count / (gaps.count + self.few), 3)
-        away = np.where(known.spread > 0, (gaps.gap.ravel() - known.usual) / np.maximum(known.spread, 1e-9), 0.0)
+        usual, spread = regression.usual, regression.spread
+        away = np.where(spread > 0, (gaps.gap.ravel() - usual) / np.maximum(spread, 1e-9), 0.0)
         return np.clip(np.where(np.isfinite(away), away, 0.0), -self.widest, self.widest) * share
 
 
@@ -297,7 +300,7 @@ def _smaller(body: Body, tracks: Tracks, frames: np.ndarray) -> np.ndarray:
 def persons_body(body: Body) -> Body | None:
     """The default body in the scale of a body that equals it but for its forearms (fit_forearms); a body with its limbs
     in plausible sizes of a person unchanged; for others None."""
-    usual = _default()
+    usual = usual_body()
     if body.topology != usual.topology:
         return None
     usual = on_host(scaled(usual, float(body.scale)))
@@ -307,8 +310,3 @@ def persons_body(body: Body) -> Body | None:
     for limb in ("l_forearm", "r_forearm"):
         off[body.topology.limbs.index(limb), 4] = 0.0
     return usual if (off < 1e-4).all() else on_host(body)
-
-
-@cache
-def _default() -> Body:
-    return load_on_host("human")
