@@ -38,10 +38,15 @@ def figures(kept: dict[str, Any], quick: bool, cpu: str) -> dict[str, list[dict[
     nan = lambda value: math.nan if value is None else value  # noqa: E731
     found = {}
     for name, one in mode.items():
-        by_cpu = {one["cpu"]: one, **one.get("elsewhere", {})}
+        by_cpu = by_processor(one)
         chosen = [by_cpu[cpu]] if cpu in by_cpu else by_cpu.values()
         found[name] = [{k: nan(v) for k, v in c["figures"].items()} for c in chosen]
     return found
+
+
+def by_processor(row: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What is kept of a promise, by the name of the processor on which it was measured; the last one first."""
+    return {row["cpu"]: row, **row.get("elsewhere", {})}
 
 
 def processor() -> str:
@@ -65,9 +70,8 @@ def merged(kept: dict[str, Any], found: Sequence[Measured], quick: bool, everyth
     for one in found:
         if one.values:
             number = {k: None if math.isnan(v) else round(v, 6) for k, v in one.values.items()}
-            last = before.get(one.promise.name)
-            others = {} if last is None else {last["cpu"]: last, **last.get("elsewhere", {})}
-            elsewhere = {c: {k: o[k] for k in (*stamp, "figures")} for c, o in others.items() if c != cpu}
+            known = by_processor(before[one.promise.name]) if one.promise.name in before else {}
+            elsewhere = {c: {k: o[k] for k in (*stamp, "figures")} for c, o in known.items() if c != cpu}
             row = {**stamp, "cpu": cpu, "seconds": round(one.seconds, 1), "figures": number}
             old[one.promise.name] = row | ({"elsewhere": elsewhere} if elsewhere else {})
             if one.details:

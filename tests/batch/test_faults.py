@@ -68,10 +68,10 @@ def test_what_is_made_of_tracks_costs_no_tracks(name, two_logs, reference, tmp_p
         fail_writing(faulty, name, 0)
         bad, good = run(two_logs, tmp_path, **EXTRAS[name])
     assert bad.ok and good.ok and name not in names(tmp_path)
-    (told,) = (text for text in bad.of_files if text.startswith("No "))
+    (told,) = (text for text in bad.file_notes if text.startswith("No "))
     assert f"{name}' cannot be written: the disk" in told
     again = run(two_logs, tmp_path, **EXTRAS[name])
-    assert [o.skipped for o in again] == [True, True] and not any(o.of_files for o in again)
+    assert [o.skipped for o in again] == [True, True] and not any(o.file_notes for o in again)
     whole(tmp_path, reference, name)
 
 

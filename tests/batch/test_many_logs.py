@@ -178,7 +178,7 @@ def test_exports_of_a_finished_log(some_logs, reference, tmp_path):
         stamp = bvh.stat().st_mtime_ns
     assert bvh.stat().st_mtime_ns == stamp
     assert {path.name for path in tmp_path.glob("b*.csv")} == {"b.csv"}
-    assert (tmp_path / "b.html").stat().st_size > 10_000 and not done.of_files
+    assert (tmp_path / "b.html").stat().st_size > 10_000 and not done.file_notes
     with pytest.raises(ValueError, match="no format 'fbx'"):
         replay([some_logs[1]], tmp_path, small_body(), SETTINGS, quiet=True, export=["fbx"])
 

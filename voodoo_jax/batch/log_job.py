@@ -213,7 +213,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         notes += write_view(people, npz, job.settings, log) if job.html else []
     others = tuple(outcome_of(job.log, person_place(place, one.person), one) for one in people[1:])
     outcome = outcome_of(job.log, place, people[0], picture=drawn, others=others)
-    return replace(outcome, of_files=tuple(notes), skipped=job.only_picture)
+    return replace(outcome, file_notes=tuple(notes), skipped=job.only_picture)
 
 
 def check_names(place: str, count: int) -> None:

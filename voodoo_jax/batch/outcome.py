@@ -30,7 +30,7 @@ class Outcome:
     error: str = ""
     notes: tuple[str, ...] = field(default=())
     skipped: bool = False  # an earlier run had done it already
-    of_files: tuple[str, ...] = ()  # about files that were made of the tracks, in this run
+    file_notes: tuple[str, ...] = ()  # about files that were made of the tracks, in this run
     folder: str = ""  # of its results within that of all, of one of several logs of one name
     person: int = 1  # whom the numbers are of: 1 who is seen longest
     others: tuple["Outcome", ...] = ()  # those of the other people in the log
@@ -93,7 +93,7 @@ class Outcome:
             line += f", picture {self.picture}"
         if not self.ok:
             line += "; NOTHING TRACKED"
-        notes = [note for note in (*self.notes, *self.of_files) if remarks or not is_remark(note)]
+        notes = [note for note in (*self.notes, *self.file_notes) if remarks or not is_remark(note)]
         return "\n".join([line, *(f"    {note}" for note in notes)])
 
     def rows(self) -> list[dict[str, Any]]:

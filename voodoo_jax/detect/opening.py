@@ -115,16 +115,16 @@ def _joined(surfaces: Sequence[Surface]) -> Surface:
     return Surface(*map(np.concatenate, zip(*surfaces)))
 
 
-def _say(reader: LogReader, topics: tuple[str, str], away: float, told: bool, lines: tuple[str, str]) -> None:
+def _say(reader: LogReader, topics: tuple[str, str], away: float, settled: bool, lines: tuple[str, str]) -> None:
     """Adds a note on the contradiction of two sensors and its correction, and sets the reliability of positions."""
     (first, topic), (line, before) = topics, lines
-    if away > RIGHT and not (line and told):
+    if away > RIGHT and not (line and settled):
         reader.sure *= TORN
     found = f"'{topic}' sees what '{first}' sees, too, up to {100 * away:.0f} cm off: one of their transforms is wrong"
     if not line:
         reader.say(f"{found}. The error is uncertain; set read.transform.")
         return
-    why = "the floor is level with that of the others" if told else "nothing tells which"
+    why = "the floor is level with that of the others" if settled else "nothing tells which"
     reader.say(
         f'{found} ({why}). It was moved, as --read.transform "{line}" says; --read.transform "{before}" says that the '
         "other one is wrong."

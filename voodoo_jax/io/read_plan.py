@@ -271,9 +271,9 @@ def _near_origin(scan: Scan, fixed: str, sensor: str, time_ns: int, notes: list[
 def _upward(scan: Scan, fixed: str, sensor: str, time_ns: int) -> np.ndarray:
     """Up in the fixed frame: the root frame's z (REP 103), or -y for a camera that is the root itself, or what the
     format says that the log was converted from."""
-    tree, told = scan.tree, scan.topics[sensor].up
-    if not tree.frames and re.fullmatch("-?[xyz]", told):
-        return np.array(direction(told), np.float32)
+    tree, stated = scan.tree, scan.topics[sensor].up
+    if not tree.frames and re.fullmatch("-?[xyz]", stated):
+        return np.array(direction(stated), np.float32)
     root = tree.root(fixed)
     cameras = ("depth image", STEREO_USE, RAYS)
     if "optical" in root.lower() or (root not in tree.frames and scan.uses[sensor] in cameras):

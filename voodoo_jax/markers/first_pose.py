@@ -102,8 +102,8 @@ def first_poses(
     out_at[:, 0] = (turns[:, 0] @ (factor[:, None] * rest_at[0])[..., None])[..., 0] + root
     parents, children = np.array(t.parents, int), np.array(t.children, int)
     on_parent, on_child = (np.asarray(a.translation, np.float64) for a in (body.parent_anchor, body.child_anchor))
-    below = parents == children[:, None]  # [joint, joint]: hangs on the same limb
-    own = 1.0 * (limb == children[:, None]) + 0.15 * np.stack([np.isin(limb, children[b]) for b in below])
+    mine = 1.0 * (limb == children[:, None])  # [joint, point]: on the joint's child
+    own = mine + 0.15 * (parents == children[:, None]) @ mine  # and, weakly, on the limbs that hang on that
     for joints in _levels(t):
         p, c = parents[joints], children[joints]
         at = f * (np.einsum("jab,jb->ja", rest_turn[p], on_parent[joints]) + rest_at[p])
@@ -115,7 +115,7 @@ def first_poses(
 
 
 def _levels(topology: Topology) -> list[list[int]]:
-    """Joints by their number of limbs to the root."""
+    """Joints at equal depth in the tree of limbs, from the root outwards."""
     depth, levels = {0: 0}, defaultdict(list)
     for j in tree_order(topology):
         depth[topology.children[j]] = depth[topology.parents[j]] + 1
@@ -125,8 +125,8 @@ def _levels(topology: Topology) -> list[list[int]]:
 
 # 8 parameters: points, and what holds them
 def _turned(model, data, weight, middle, at, before, about: float, pinned: float):
-    """Rotations and translations of limbs from the rest pose by their points, held at the place of a `middle` with the
-    weight `pinned` and by the rotation `before` with the weight `about`."""
+    """Rotations and translations of limbs from the rest pose, by their points. The point `middle` is held at the place
+    `at` with the weight `pinned`, and the limb in the rotation `before` with the weight `about`."""
     frame = 0.15 * np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))])
     held = frame @ np.swapaxes(before, -1, -2) + at[..., None, :]
     wide = (*at.shape[:-1], model.shape[-2], 3)

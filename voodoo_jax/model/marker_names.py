@@ -128,6 +128,7 @@ def _parsed(text: str) -> MarkerSet:
     return MarkerSet(*one, numbered, numbers, newington)
 
 
+@lru_cache(maxsize=16)  # asked of each message without names
 def orders(count: int) -> dict[str, tuple[str, ...]]:
     """Names of the points of all systems with this number of points, which only their order identifies."""
     tables = (one.numbers.items() for one in marker_sets())
@@ -230,9 +231,9 @@ def counted(names: Mapping[str, str]) -> tuple[int, dict[str, int]]:
     found = {name: (one[1], int(one[3])) for name, one in read.items() if one}
     if not found or len(found) < len(names) or len({word for word, _ in found.values()}) != 1:
         return 0, {}
-    told = next(one[2] for one in read.values() if one)
+    stated = next(one[2] for one in read.values() if one)
     most = max(number for _, number in found.values())
-    return max(int(told or 0), most + 1), {name: number for name, (_, number) in found.items()}
+    return max(int(stated or 0), most + 1), {name: number for name, (_, number) in found.items()}
 
 
 def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[str]) -> Known:
