@@ -143,15 +143,15 @@ def with_rest_from_joints(body: Body) -> Body:
     return on_device(eqx.tree_at(lambda b: b.rest.translation, body, places_from_joints(body, body.rest)))
 
 
-def places_from_joints(body: Body, rest: Poses) -> Float[Any, "limb 3"]:
-    """Places of all limbs of a body on the host by their joints, with the rotations of `rest`; the root stays."""
-    t, turn = body.topology, rest.rotation
-    ends = [rotate(turn[np.array(limbs, int)], anchor.translation) for limbs, anchor in (
+def places_from_joints(body: Body, poses: Poses) -> Float[Any, "*frame limb 3"]:
+    """Places of all limbs of a body on the host by their joints, with the rotations of `poses`; the root stays."""
+    t, turn = body.topology, poses.rotation
+    ends = [rotate(turn[..., np.array(limbs, int), :], anchor.translation) for limbs, anchor in (
         (t.parents, body.parent_anchor), (t.children, body.child_anchor))]  # fmt: skip
-    at = {0: rest.translation[0]}
+    at = {0: poses.translation[..., 0, :]}
     for j in tree_order(t):
-        at[t.children[j]] = at[t.parents[j]] + ends[0][j] - ends[1][j]
-    return (np if isinstance(turn, np.ndarray) else jnp).stack([at[limb] for limb in range(body.limb_count)])
+        at[t.children[j]] = at[t.parents[j]] + ends[0][..., j, :] - ends[1][..., j, :]
+    return (np if isinstance(turn, np.ndarray) else jnp).stack([at[limb] for limb in range(body.limb_count)], -2)
 
 
 def with_proportions(body: Body, lengths: Mapping[str, float], girth: float = 1.0) -> Body:

@@ -21,7 +21,7 @@ from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.front import track
-from voodoo_jax.trackers.icp.body_size import measured_height, sized
+from voodoo_jax.trackers.icp.body_size import measured_heights, sized
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.trials import facing, place, standing_places
 
@@ -57,11 +57,12 @@ def test_the_box_around_the_body_at_rest(name, scale):
 @pytest.mark.parametrize("height", [1.0, 1.5, 1.83, 2.0])
 @pytest.mark.parametrize("distance", [1.5, 4.0])
 def test_measured_height(height, distance):
-    """Within a pixel, whatever the frames without enough points say."""
+    """Within a pixel; frames without enough points say nothing."""
     frames = [column(height, distance, pixel=0.006)] * 3
     few = replace(frames[0], points=frames[0].points[:10], sensor=frames[0].sensor[:10])
-    assert measured_height([few, *frames], FLOOR, 0.006) == pytest.approx(height, abs=0.006 * distance + 0.005)
-    assert np.isnan(measured_height([few], FLOOR, 0.006))
+    found = measured_heights([few, *frames], FLOOR, 0.006)
+    assert np.isnan(found[0])
+    np.testing.assert_allclose(found[1:], height, atol=0.006 * distance + 0.005)
 
 
 def test_measured_height_forgives_strays():
@@ -69,10 +70,11 @@ def test_measured_height_forgives_strays():
     stray = replace(
         good, points=good.points + np.where(np.arange(len(good.points)) < 2, 2, 0)[:, None].astype(np.float32) * UP
     )
-    clean = measured_height([good], FLOOR, 0.006)
-    assert measured_height([stray], FLOOR, 0.006) == pytest.approx(clean, abs=1e-5)  # two points too high
+    clean = measured_heights([good], FLOOR, 0.006)
+    assert measured_heights([stray], FLOOR, 0.006) == pytest.approx(clean, abs=1e-5)  # two points too high
     worse = replace(good, points=good.points + np.float32(0.5) * UP)
-    assert measured_height([good, worse, good], FLOOR, 0.006) == pytest.approx(clean, abs=1e-5)  # one frame of three
+    size = sized(human(), [good, worse, good], FLOOR, StartSettings()).scale  # one frame of three
+    assert float(size) == pytest.approx(float(sized(human(), [good], FLOOR, StartSettings()).scale), abs=1e-5)
 
 
 def test_a_raised_hand_is_not_the_head():
@@ -80,8 +82,8 @@ def test_a_raised_hand_is_not_the_head():
     aside = hand.points[hand.points[:, 2] > 1.6] + np.array([0, 0.35, 0], np.float32)
     points = np.concatenate([body.points, aside])
     both = replace(body, points=points, sensor=np.zeros(len(points), np.int32))
-    assert measured_height([both], FLOOR, 0.006) == pytest.approx(2.2, abs=0.03)
-    assert measured_height([both], FLOOR, 0.006, reach=0.2) == pytest.approx(1.8, abs=0.03)
+    assert measured_heights([both], FLOOR, 0.006) == pytest.approx(2.2, abs=0.03)
+    assert measured_heights([both], FLOOR, 0.006, reach=0.2) == pytest.approx(1.8, abs=0.03)
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 0, 2.5), (0, 1, 0), (0.6, 0, 0.8), (0.1, -0.9, 0.2)])

@@ -1,6 +1,7 @@
 """Estimates the body's size from the height of the points, and the likelihood of a size. Host side."""
 
 import numpy as np
+from jaxtyping import Float
 
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.plane import Plane
@@ -13,13 +14,15 @@ TALL, TALLER = 2.0, 0.1  # metres: stature of which hardly anybody is, and how m
 # logarithms of the odds for each of a logarithm of costs: as the odds of facing had once (confidence.SURELY), fitted in
 # experiments/trust
 TELLS = 19.0
+FEWEST, ABOVE = 50, 1.0045  # points by which a height is measured; of the top over the points' third highest
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
 
 
-def measured_height(
+def measured_heights(
     frames: list[BodyObservation], floor: Plane, pixel: float | list[float], reach: float = float("inf")
-) -> float:
-    """Height of a standing body from its points, metres: median over frames of the third highest point.
+) -> Float[np.ndarray, " frame"]:
+    """Height of a standing body from its points in each frame, metres: that of the third highest point; NaN where there
+    are too few.
 
     `reach` level distance in metres from the middle of the upper half within which the top is searched: a hand may be
     higher.
@@ -27,9 +30,9 @@ def measured_height(
     `pixel` is the angle between neighbouring points, radians, of all sensors or of each: the top lies between the
     highest point and the next.
     """
-    heights = []
-    for frame in frames:
-        if len(frame.points) >= 50:
+    heights = np.full(len(frames), np.nan)
+    for k, frame in enumerate(frames):
+        if len(frame.points) >= FEWEST:
             above = floor.height(frame.points)
             level = floor.level(frame.points)
             middle = np.median(level[above > 0.5 * np.percentile(above, 99)], 0)
@@ -39,8 +42,8 @@ def measured_height(
             third = np.argsort(np.where(near, above, -np.inf))[-3]
             sensor = int(frame.sensor[third])
             angle = pixel[sensor] if isinstance(pixel, list) else pixel
-            heights.append(above[third] + 1.1 * angle * np.linalg.norm(frame.points[third] - frame.origins[sensor]))
-    return float(np.median(heights)) if heights else float("nan")
+            heights[k] = above[third] + 1.1 * angle * np.linalg.norm(frame.points[third] - frame.origins[sensor])
+    return heights
 
 
 def _spacings(frames: list[BodyObservation]) -> list[float]:
@@ -72,12 +75,17 @@ def sized(body: Body, frames: list[BodyObservation], floor: Plane, settings: Sta
     """The body scaled to the measured size, or to that of the settings."""
     if settings.scale > 0:
         return scaled(body, settings.scale)
-    seen = [f for f in frames if len(f.points) >= 50]
-    if not seen:
+    heights = tops(body, frames, floor)
+    if not np.isfinite(heights).any():
         return body
+    return scaled(body, float(body.scale) * float(np.nanmedian(heights)) / rest_height(body))
+
+
+def tops(body: Body, frames: list[BodyObservation], floor: Plane) -> Float[np.ndarray, " frame"]:
+    """How high the body reaches above the floor in each frame by its points, metres; NaN where there are too few."""
+    seen = [f for f in frames if len(f.points) >= FEWEST]
+    if not seen:
+        return np.full(len(frames), np.nan)
     # a dog's head is not above its middle
     reach = HEAD_REACH if body.scale_name == "stature" else float("inf")
-    height = measured_height(seen, floor, _spacings(seen), reach)
-    if not np.isfinite(height):
-        return body
-    return scaled(body, float(body.scale) * 1.0045 * height / rest_height(body))
+    return ABOVE * measured_heights(frames, floor, _spacings(seen), reach)

@@ -10,8 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import AnyArray, Poses, compose, on_host, rotate, unrotate
+from voodoo_jax.geometry.rotations import limb_ends
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.solve.scan import State, Step, at_rest, cost_of
 
 FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on
@@ -19,6 +21,9 @@ STEPS = 15  # most steps of a frame until then
 # radians per second: nobody turns about so fast. Measured: hips of 174 logs with truth turn at 10.4 in a dance, 9.5
 # with a baseball bat, 8 serving at tennis, 4 and less in 167 (all but a thousandth of the frames)
 FASTEST = 10.5
+# metres per second: no joint moves so fast. Measured: joints of 196 logs with truth move at 11.2 (bowling), 11.0 in a
+# spinning kick, 9.2 in a run
+QUICKEST = 11.5
 
 
 def place(
@@ -148,6 +153,16 @@ def turns_about(
     cosine = np.sum(front[1:] * front[:-1], -1)
     seconds = np.diff([frame.time_ns for frame in people]) / 1e9
     return (cosine < 0) & (np.arccos(np.clip(cosine, -1.0, 1.0)) > FASTEST * seconds)
+
+
+def breaks(body: Body, poses: Segment, people: list[BodyObservation]) -> int:
+    """Number of steps from a frame to the next in which the body turns about too fast, or an end of a limb that carries
+    others moves too fast; `people`: of the frames."""
+    carries = np.array(sorted(set(body.topology.parents)), int)
+    ends = limb_ends(poses.rotation[:, carries], poses.translation[:, carries], np.asarray(body.sizes)[carries, 4])
+    gone = np.linalg.norm(np.diff(ends, axis=1), axis=-1).max((0, 2), initial=0.0)
+    seconds = np.diff([frame.time_ns for frame in people]) / 1e9
+    return int(np.sum(turns_about(body, poses.rotation, people) | (gone > QUICKEST * seconds)))
 
 
 def opposite(body: Body, trial: Trial, near: float) -> list[int]:

@@ -1,20 +1,23 @@
 """Arms that were lost are found again where the passage explains too little."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from tests.support.in_front import error, in_front
-from voodoo_jax.geometry.rigid import Poses, apply
+from voodoo_jax.geometry.rigid import Poses, apply, on_host
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.simulate.motion import motion_of_turns, placed
+from voodoo_jax.simulate.motion import motion_of_turns, placed, pose_body
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs, other_arms, other_legs
 from voodoo_jax.trackers.icp.segment import forwards
+from voodoo_jax.trackers.icp.trials import breaks
 
 BODY = scaled(human(), 1.75)
 
@@ -44,6 +47,18 @@ def test_what_costs_more_than_noise_and_the_rest_is_in_doubt():
     cost[40] = 1e-3  # a single frame
     assert doubted(people, cost) == []
     assert doubted([], []) == []
+
+
+@pytest.mark.parametrize(("rate", "turned", "found"), [(30, 2.6, 2), (30, 0.3, 0), (5, 2.6, 0)])
+def test_an_arm_that_is_faster_than_people_is_noticed(rate, turned, found):
+    """An arm is somewhere else for one of six frames."""
+    turns = np.zeros((6, 3))
+    turns[3, 0] = -turned
+    moves = motion_of_turns(BODY, np.arange(6) / rate, {"l_shoulder": turns})
+    moved = on_host(pose_body(BODY, moves.root, moves.rotations))
+    people = [replace(frame, time_ns=round(k * 1e9 / rate)) for k, frame in enumerate(frames([0.01] * 6))]
+    segment = replace(Segment.blank(6, BODY.limb_count), rotation=moved.rotation, translation=moved.translation)
+    assert breaks(BODY, segment, people) == found
 
 
 def test_long_trouble_is_looked_at_in_parts():

@@ -21,7 +21,7 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.icp.joint_spread import MOVED, SHAPE
+from voodoo_jax.trackers.icp.joint_spread import of_moved_joints
 from voodoo_jax.trackers.icp.refine.fit_forearms import in_usual_proportions, usual_body
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.shared.confidence import BATCH
@@ -249,7 +249,7 @@ class PlaceJoints:
         if covariance is not None:
             covariance = covariance.copy()
             for some in np.split(frames, np.arange(BATCH, len(frames), BATCH)):
-                covariance[some] = _smaller(body, tracks, some)
+                covariance[some] = of_moved_joints(tracks, some)
         now = seen_in(body, tracks, frames, eyes)
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
@@ -287,14 +287,6 @@ def measured_segments(tracks: Tracks) -> dict[str, float]:
             seen = tracks.tracked & (tracks.evidence.limb_weight[:, limb] > 0)
             found.setdefault(name, []).append(np.linalg.norm(end - start, axis=1)[seen])
     return {name: float(np.median(each)) for name, some in found.items() if len(each := np.concatenate(some))}
-
-
-def _smaller(body: Body, tracks: Tracks, frames: np.ndarray) -> np.ndarray:
-    """Covariances of some frames' joints once they are moved: smaller where there were two passes."""
-    passes = tracks.evidence.passes_apart
-    assert tracks.joint_covariance is not None and passes is not None
-    both = np.isfinite(passes[frames][:, np.array(body.topology.centre_limbs, int)])[..., None, None]
-    return tracks.joint_covariance[frames] + both * np.float32(MOVED**2 - SHAPE**2) * np.eye(3, dtype=np.float32)
 
 
 def persons_body(body: Body) -> Body | None:
