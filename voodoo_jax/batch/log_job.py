@@ -116,8 +116,8 @@ def draw(people: list[Tracks], target: Path, settings: Settings, count: int = 4,
     frames only."""
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of
-    from voodoo_jax.exporters.frames import spread
     from voodoo_jax.records.recording import Recording
+    from voodoo_jax.records.stretches import spread
     from voodoo_jax.viz.figures import picture
 
     tracks = people[0]

@@ -93,7 +93,7 @@ def _over_images(tracks: Tracks, recording: Recording, target: Path, truth: np.n
     """Writes some frames side by side: the body over the images, the true joints as crosses."""
     import cv2
 
-    from voodoo_jax.exporters.frames import spread
+    from voodoo_jax.records.stretches import spread
     from voodoo_jax.viz.overlay import drawn_over
 
     stamps = np.array([frame.time_ns for frame in recording])

@@ -1,7 +1,7 @@
 """Shared by exporters and pictures: the upward direction, frames at an even rate, some frames, and those that count."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rotations import rotations
@@ -15,11 +15,6 @@ ALONG_AXIS = np.cos(np.radians(3))  # so near to an axis of the fixed frame upwa
 JITTER = 0.25  # share of a frame's time by which stamps may be off an even rate
 LONGEST = 10_000_000  # frames: four days at 30 Hz
 GAP = 3.0  # frames: poses are not interpolated over longer gaps
-
-
-def spread(length: int, count: int) -> Int[np.ndarray, " chosen"]:
-    """Indices of `count` evenly spaced frames of `length`."""
-    return np.unique(np.linspace(0, length - 1, max(1, min(count, length))).round().astype(int))
 
 
 def upright(tracks: Tracks) -> Float[np.ndarray, "3 3"]:

@@ -21,6 +21,7 @@ from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import Topology
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.stretches import spread
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket, pad_features, pad_frames
@@ -93,7 +94,7 @@ def chosen_frames(tracks: Tracks, points: Int[np.ndarray, " frame"], count: int)
             f"{tracks.source}: only {len(good)} frames are tracked well enough to fit to, {FEWEST} are needed; "
             "look at the log with voodoo-jax replay --picture"
         )
-    return np.unique(np.asarray(good)[np.linspace(0, len(good) - 1, count).round().astype(int)])
+    return np.asarray(good)[spread(len(good), count)]
 
 
 def feature_names(people: list[BodyObservation], topology: Topology, settings: FeatureSettings) -> tuple[str, ...]:

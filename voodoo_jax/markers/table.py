@@ -15,6 +15,7 @@ from voodoo_jax.markers.label_swaps import Exchange, sides
 from voodoo_jax.markers.size_fit import Markers, fit_markers, personal
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.stretches import spread
 from voodoo_jax.solve.names import FeatureNames
 
 ENOUGH = 4  # named points in a frame to track by
@@ -87,7 +88,7 @@ def sized_by_markers(body: Body, markers: Markers, scale: float) -> Sized:
         good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     if not len(good):
         return Sized(body, [], False)
-    some = good[np.unique(np.linspace(0, len(good) - 1, FRAMES).round().astype(int))]
+    some = good[spread(len(good), FRAMES)]
     chosen = markers._replace(points=markers.points[some], seen=markers.seen[some])
     t = body.topology
     names = (*t.sites, *t.centres)

@@ -1,7 +1,12 @@
-"""Stretches of frames."""
+"""Stretches of frames, and frames spread over them."""
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
+
+
+def spread(length: int, count: int) -> Int[np.ndarray, " chosen"]:
+    """Indices of `count` evenly spaced frames of `length`, one at least; all where there are fewer."""
+    return np.unique(np.linspace(0, length - 1, min(max(count, 1), length)).round().astype(int))
 
 
 def stretches(

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.exporters.frames import spread
 from voodoo_jax.exporters.limb_shapes import limb_rings, side_of
 from voodoo_jax.records.recording import Frame, Recording
+from voodoo_jax.records.stretches import spread
 from voodoo_jax.records.tracks import STATUS_WORDS, Tracks, given_from
 from voodoo_jax.storage.atomic import replacing
 

@@ -17,11 +17,11 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax._version import __version__
-from voodoo_jax.exporters.frames import seconds, spread, upright
+from voodoo_jax.exporters.frames import seconds, upright
 from voodoo_jax.exporters.limb_shapes import limb_rings, rings, side_of
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import Html, all_of, filled, is_remark
-from voodoo_jax.records.stretches import stretches
+from voodoo_jax.records.stretches import spread, stretches
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
 

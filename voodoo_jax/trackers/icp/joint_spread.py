@@ -1,4 +1,5 @@
-"""Covariances of joint centres from the difference of the forward and the backward pass. Host side.
+"""Covariances of joint centres from the difference of the forward and the backward pass, and of joint centres that
+place_joints has moved. Host side.
 
 The difference of two passes predicts a frame's errors better than its points do. With it, one calibration holds for
 people who stand and wave, and for people who kick and dance with hidden limbs. Without it, 95 % regions calibrated for
@@ -17,8 +18,9 @@ from voodoo_jax.trackers.shared.confidence import BATCH
 # for: chosen so that 95 % of the truth is inside, on the 18 recordings, as they are and from depth alone, and on 40
 # logs of simulated people who move wildly (96, 96 and 94 % with joints where the body has them; experiments/offsets)
 NOISE, SHAPE, APART = 0.03, 0.0105, 0.6
-# the same where place_joints has moved joints, after two passes and after one: chosen on 46 logs of 24 people left out
-# (experiments/people, draw 912), where 95.2, of depth alone 94.9 and online 95.2 % are inside then
+# in place of SHAPE and of covariance.SHAPE for joints that place_joints has moved: after two passes, and after one.
+# Chosen on 46 logs of 24 people from whom it had not learned (experiments/people, draw 912): 95.2 % of the truth is
+# inside, by depth alone 94.9, online 95.2
 MOVED, MOVED_ALONE = 0.007, 0.0133
 
 
@@ -38,7 +40,7 @@ def with_passes(tracks: Tracks) -> Tracks:
 
 
 def of_moved_joints(tracks: Tracks, frames: np.ndarray) -> np.ndarray:
-    """Covariances of the joints of some frames once place_joints has moved them; smaller."""
+    """Covariances of the joints of some frames once place_joints has moved them, which makes them smaller."""
     passes = tracks.evidence.passes_apart
     assert tracks.joint_covariance is not None and passes is not None
     both = np.isfinite(passes[frames][:, np.array(tracks.body.topology.centre_limbs, int)])[..., None, None]

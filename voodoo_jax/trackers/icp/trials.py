@@ -24,6 +24,7 @@ FASTEST = 10.5
 # metres per second: no joint moves so fast. Measured: joints of 196 logs with truth move at 11.2 (bowling), 11.0 in a
 # spinning kick, 9.2 in a run
 QUICKEST = 11.5
+OFF = 0.1  # metres: a joint that is off by less is right; derived: confidence is the probability of that
 
 
 def place(
@@ -155,14 +156,21 @@ def turns_about(
     return (cosine < 0) & (np.arccos(np.clip(cosine, -1.0, 1.0)) > FASTEST * seconds)
 
 
-def breaks(body: Body, poses: Segment, people: list[BodyObservation]) -> int:
-    """Number of steps from a frame to the next in which the body turns about too fast, or an end of a limb that carries
-    others moves too fast; `people`: of the frames."""
-    carries = np.array(sorted(set(body.topology.parents)), int)
-    ends = limb_ends(poses.rotation[:, carries], poses.translation[:, carries], np.asarray(body.sizes)[carries, 4])
-    gone = np.linalg.norm(np.diff(ends, axis=1), axis=-1).max((0, 2), initial=0.0)
+def too_fast(body: Body, segment: Segment, people: list[BodyObservation]) -> int:
+    """In how many steps from a frame to the next a body turns about or moves faster than people do, even if its joints
+    are a little off before and after; `people`: of the frames."""
+    farthest = moved(body, segment).max(1, initial=0.0)
     seconds = np.diff([frame.time_ns for frame in people]) / 1e9
-    return int(np.sum(turns_about(body, poses.rotation, people) | (gone > QUICKEST * seconds)))
+    return int(np.sum(turns_about(body, segment.rotation, people) | (farthest > QUICKEST * seconds + 2 * OFF)))
+
+
+def moved(body: Body, segment: Segment) -> Float[np.ndarray, "step limb"]:
+    """How far each limb that carries others, its farther end, moves from a frame to the next, metres. Hands and feet
+    alone flicker if they have few points."""
+    carries = np.array(sorted(set(body.topology.parents)), int)
+    lengths = np.asarray(body.sizes)[carries, 4]
+    ends = limb_ends(segment.rotation[:, carries], segment.translation[:, carries], lengths)
+    return np.max(np.linalg.norm(np.diff(ends, axis=1), axis=-1), 0)
 
 
 def opposite(body: Body, trial: Trial, near: float) -> list[int]:

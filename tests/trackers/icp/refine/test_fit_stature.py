@@ -23,9 +23,9 @@ BODY = scaled(human(), 1.8)
 )
 def test_the_top_tells_the_stature_where_the_body_stands_on_its_feet(tmp_path, bent, raised, arm, known):
     """Bent in the first frames; not where it is bent in all, or is in the air or raises an arm where it is not."""
-    bow, up = np.zeros((12, 3)), np.tile([arm, 0.0, 0.0], (12, 1))
+    bow, lifted = np.zeros((12, 3)), np.tile([arm, 0.0, 0.0], (12, 1))
     bow[:bent, 1] = 0.9
-    _, run = in_front(tmp_path / "log.mcap", BODY, {"waist": bow, "l_shoulder": up}, 12)
+    _, run = in_front(tmp_path / "log.mcap", BODY, {"waist": bow, "l_shoulder": lifted}, 12)
     up = run.scene.floor.normal
     run.people = [
         frame if k < bent else replace(frame, points=frame.points + np.float32(raised) * up)

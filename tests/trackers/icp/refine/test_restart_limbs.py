@@ -17,7 +17,7 @@ from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs, other_arms, other_legs
 from voodoo_jax.trackers.icp.segment import forwards
-from voodoo_jax.trackers.icp.trials import breaks
+from voodoo_jax.trackers.icp.trials import too_fast
 
 BODY = scaled(human(), 1.75)
 
@@ -58,7 +58,7 @@ def test_an_arm_that_is_faster_than_people_is_noticed(rate, turned, found):
     moved = on_host(pose_body(BODY, moves.root, moves.rotations))
     people = [replace(frame, time_ns=round(k * 1e9 / rate)) for k, frame in enumerate(frames([0.01] * 6))]
     segment = replace(Segment.blank(6, BODY.limb_count), rotation=moved.rotation, translation=moved.translation)
-    assert breaks(BODY, segment, people) == found
+    assert too_fast(BODY, segment, people) == found
 
 
 def test_long_trouble_is_looked_at_in_parts():

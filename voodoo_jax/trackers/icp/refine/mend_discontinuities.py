@@ -14,7 +14,7 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import backwards, forwards, pass_of
-from voodoo_jax.trackers.icp.trials import turns_about
+from voodoo_jax.trackers.icp.trials import moved, turns_about
 from voodoo_jax.trackers.shared.segment import Followed
 
 
@@ -49,13 +49,10 @@ class MendDiscontinuities:
 
     def jumps(self, body: Body, segment: Segment) -> list[int]:
         """Frames in which a limb that carries others has moved far from its place in the previous frame, the farthest
-        jump first. Hands and feet alone flicker if they have few points."""
-        carries = np.array(sorted(set(body.topology.parents)), int)
+        jump first."""
         if len(segment) < 2:
             return []
-        lengths = np.asarray(body.sizes)[carries, 4]
-        ends = limb_ends(segment.rotation[:, carries], segment.translation[:, carries], lengths)
-        gone = np.max(np.linalg.norm(np.diff(ends, axis=1), axis=-1), 0)  # [frame - 1, limb]
+        gone = moved(body, segment)
         usual = np.pad(gone, ((1, 1), (0, 0)))
         over = np.max(gone - self.moves * np.maximum(usual[:-2], usual[2:]), 1)
         tracked = segment.tracked

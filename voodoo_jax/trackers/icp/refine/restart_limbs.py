@@ -22,7 +22,7 @@ from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import implausible, pass_of, tracked_anew
 from voodoo_jax.trackers.icp.start.hypothesis import USUAL, soon
-from voodoo_jax.trackers.icp.trials import Trial, breaks, standing_places
+from voodoo_jax.trackers.icp.trials import Trial, standing_places, too_fast
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 from voodoo_jax.trackers.shared.segment import Followed
 
@@ -117,7 +117,7 @@ class RestartLimbs:
             return segment
         other = tracked_anew(run, trial.state.poses[best], first + low, first + at, first + high)
         after = segment.spliced(low, other, self.passes.is_better(pass_of(run, other).cost, cost[: high - low]))
-        before, then = (breaks(run.body, each, run.people[first : segment.end]) for each in (segment, after))
+        before, then = (too_fast(run.body, each, run.people[first : segment.end]) for each in (segment, after))
         return segment if then > before else after
 
 
