@@ -13,12 +13,12 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build
 from voodoo_jax.detect.clearing import GAPS, USUAL_SPACING, Clearing
+from voodoo_jax.detect.heads import CELL
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import within
 from voodoo_jax.records.observation import BodyObservation
 
-COLUMN = 0.05  # metres, of strips from top to bottom, and between places in the gap: two in a limb's width; by hand
 SHARED = 0.5  # of the strips of the narrower piece have the other one above or below it; by hand
 GAP = 0.9  # metres: a larger one would hide all from the chest to the shanks; by hand
 DEEP = 0.3  # metres, level, from edge to edge: a chest is 0.25 deep (ANSUR II), and people lean; by hand
@@ -118,7 +118,7 @@ def _edges(
         return None
     sight /= far
     side = np.cross(floor.normal, sight)
-    strip = max(COLUMN, GAPS * gap * far)
+    strip = max(CELL, GAPS * gap * far)  # from top to bottom
     ends: list[dict[int, int]] = []
     for piece, sign in zip(pieces, (-1, 1)):
         piece = piece[seen.sensor[piece] == sensor]
@@ -144,7 +144,7 @@ def _hidden(
     upper: Float[np.ndarray, "column 3"], lower: Float[np.ndarray, "column 3"], nearest: Nearest, sensor: int
 ) -> Bool[np.ndarray, " place"]:
     """Which places between two edges are hidden from the sensor, and not seen as empty by another one."""
-    many = np.maximum(np.linalg.norm(upper - lower, axis=1) / COLUMN, 1).astype(int)
+    many = np.maximum(np.linalg.norm(upper - lower, axis=1) / CELL, 1).astype(int)
     places = np.concatenate(
         [a + (b - a) * ((np.arange(n) + 0.5) / n)[:, None] for a, b, n in zip(upper, lower, many)]
     ).astype(np.float32)

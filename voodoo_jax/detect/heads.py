@@ -12,7 +12,7 @@ from voodoo_jax.detect.body_likelihood import FEWEST, HEADS, TALLEST, Build
 from voodoo_jax.detect.clearing import Clearing
 from voodoo_jax.geometry.voxels import cells_of, spread, touching
 
-CELL = 0.05  # metres, of the map of heights; as wide as a hand, by hand
+CELL = 0.05  # metres, of the map of heights, and of strips in cut_in_two: as wide as a hand, two in a limb; by hand
 BRIDGED = 2  # cells: ground that is no farther from other ground hangs together with it; by hand
 # of the body's height: so much lower is the ground between two heads. Shoulders are 0.18 below the top of the head (in
 # ANSUR II), arms around shoulders are in between; by hand

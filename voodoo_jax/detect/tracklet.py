@@ -11,13 +11,12 @@ from jaxtyping import Float32
 from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.motion import Motion
-from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
+from voodoo_jax.detect.segmentation import SOME, SPEED, STILL, BodySegmenter
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import quantile
 from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.records.observation import BodyObservation
 
-SOME = 600  # points of a person that decide which person is nearer; by hand
 PACE = 2.5  # metres per second, of a person who is hidden for a while: a quick walk; by hand
 AROUND = 0.8  # metres of uncertainty of their place in any case; by hand
 LIKE = 0.07  # metres of height by which two sights of one person may differ; by hand

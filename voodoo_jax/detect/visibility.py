@@ -20,7 +20,7 @@ ANY, FEWEST = 8, 20
 ASIDE = 0.6  # metres beside the body's middle that limbs reach, by hand
 LOW = 0.05  # metres above the floor: nothing stands behind what is lower; by hand
 NEAR = 0.5  # metres, on the level, from a sensor above the body: nothing is between them; by hand
-SOME = 200  # points of the body that tell its middle, by hand
+PER_FRAME = 200  # points of an object in a frame that tell where it is; by hand
 BIN = 2.0  # degrees: what is seen in a direction is so wide
 AZIMUTHS, ELEVATIONS, PER_RADIAN = int(360 / BIN) + 1, int(180 / BIN) + 1, np.float32(180 / np.pi / BIN)
 # metres: less than the depth of a chest (0.25 in the mean, ANSUR II) and more than that of a limb; by hand
@@ -42,7 +42,7 @@ def in_the_way(
     nothing = np.zeros((0, 3), np.float32), np.zeros(0, np.int8)
     if not len(own):
         return nothing
-    middle = np.sort(frame.points[own[:: len(own) // SOME + 1]], 0)
+    middle = np.sort(frame.points[own[:: len(own) // PER_FRAME + 1]], 0)
     middle = middle[len(middle) // 2]
     whole = max(0, (len(frame.points) // LOOKED_AT).bit_length())
     kept = _between(frame, own, floor, middle, whole)
