@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from voodoo_jax.io.key_points import SELDOM
 from voodoo_jax.records.tracks import Tracks
 
 UPRIGHT = np.cos(np.radians(40))  # of the direction from the feet to the neck for a standing person; by hand
-SELDOM = 0.1  # of the frames, in which a standing person stands at least; by hand
 CLIMB = 1.5  # metres: hips that move farther move along the floor, not upwards; by hand
 # between trunk and legs of a person who stands straight: in 12 laboratories they are upright to 4 degrees (measured)
 STRAIGHT = np.cos(np.radians(15))
