@@ -15,7 +15,6 @@ from voodoo_jax.records.observation import BodyObservation
 LONG = 1.5  # times as long as it is high: a person sitting on the floor with straight legs is shorter; by hand
 # of the body's height: length of a lying person, with knees drawn up or arms overhead; by hand
 SHORTEST, LONGEST = 0.5, 1.3
-HIGHEST = 0.5  # likewise, from the lowest to the highest point: shoulders are a quarter as wide; by hand
 # of the square of the body's height: the area that is seen of it; by hand (0.05 to 0.15 in 14 simulated people, the top
 # and front of a bed have 0.3 and more)
 SMALL, LARGE = 0.03, 0.25
@@ -28,9 +27,9 @@ TELLING = 30  # points of a person in a frame, at least: fewer are not informati
 HEAD = (0.15, 0.06)  # the highest part of a body: of its height, and its area, of height times width
 NEAR = 4.0  # metres from the sensor: people farther away are less likely the main one
 HEADS = 0.6  # of its height: a single object above a body, and higher, is its head; by hand
-# likelihood of objects that float, as head and trunk of a person behind something or cut off by the image do; highest
-# lower end, as a share of the top's height, and least length, metres; by hand
-PART, UPPER, LEAST = 0.3, 0.75, 0.45
+# likelihood of objects that float, as head and trunk of a person behind something or cut off by the image do; least
+# length, metres; by hand
+PART, LEAST = 0.3, 0.45
 SPREAD, SQUAT = 0.8, 0.75  # of its height: a wider and lower object is a counter or a sofa; by hand
 TALLEST = 1.35  # of its height: a higher object is not the body; by hand
 BROAD = 1.5  # times that area: an object even broader at the top is less likely the body
@@ -88,7 +87,7 @@ def find_lying(
         mine = label == k
         found, size = extent(points[mine], floor), float(area[mine].sum())
         long = SHORTEST * height <= found.length <= LONGEST * height
-        flat = found.lies and found.height <= HIGHEST * height and found.width <= BROADEST * height
+        flat = found.lies and found.width <= BROADEST * height
         if long and flat and SMALL * height**2 <= size <= LARGE * height**2 and size > largest:
             best, largest = int(k), size
     return best
@@ -143,7 +142,7 @@ def candidate(
         likely /= 1 + (np.median(distance[mine]) / NEAR) ** 2
         fits = np.linalg.norm(extent) < max(1.5 * high, np.hypot(wide, high))  # animals are longer than they are high
         if low >= 0.5 * top:
-            likely *= PART if low < UPPER * top and top - low > LEAST and not body.loose else 0
+            likely *= PART if top - low > LEAST and not body.loose else 0
         if top < SQUAT * high and np.hypot(*np.ptp(places[1:, mine], axis=1)) > SPREAD * high and not body.loose:
             continue
         if tall and fits and likely > size:

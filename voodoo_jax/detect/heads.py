@@ -17,10 +17,11 @@ BRIDGED = 2  # cells: ground that is no farther from other ground hangs together
 # of the body's height: so much lower is the ground between two heads. Shoulders are 0.18 below the top of the head (in
 # ANSUR II), arms around shoulders are in between; by hand
 DROP = 0.07
-APART = 0.28  # metres, level, at least, between two heads: people are deeper than that; by hand
+# metres, level, at least, between two heads, and at most between the edges of what hangs together in depth: a chest is
+# 0.25 deep (ANSUR II), and people lean; by hand
+APART = 0.28
 COLUMN = 0.16  # metres, level, around the middle of a head: what is under it; half as wide as shoulders, by hand
 BAND, LOWEST, FILLED = 0.1, 0.45, 0.85  # metres; of its top; share of the bands: how much of a body is there; by hand
-WIDE = 0.33  # of its height: what is not even so wide is one; by hand
 MOST = 4.5  # metres: what is wider is a room; by hand
 
 
@@ -35,7 +36,7 @@ def each_person(
     level, flat = np.stack(level), clearing.scene.floor.level
     for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
         mine = np.flatnonzero(label == k)
-        if not WIDE * body.height <= np.hypot(*np.ptp(level[:, mine], axis=1)) <= MOST:
+        if not APART <= np.hypot(*np.ptp(level[:, mine], axis=1)) <= MOST:
             continue
         # a head hangs together with its body by a neck that may not be seen
         high = (label != k) & (height > HEADS * body.height)

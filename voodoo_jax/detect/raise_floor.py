@@ -28,7 +28,7 @@ FEET = 0.2  # metres above it
 AROUND = 0.2, 0.5  # metres from the feet where its top is visible ...
 FEW = 0.02  # of as many points as in the direction with most
 SECTORS, SEEN = 8, 6  # directions, and in how many of them, at least
-BED, BEDS = 0.85, 3  # metres above the floor of surfaces to lie on, such as hospital beds; their number; by hand
+BED = 0.85  # metres above the floor of surfaces to lie on, such as hospital beds; by hand
 # of the back of a sofa: metres above its seat at most and at least, and its length; cosine of its slope; by hand
 BACK, HIGH, LENGTH, UPRIGHT = 0.7, 0.28, 1.4, 0.17
 
@@ -64,10 +64,10 @@ def _raised(scene: Scene, top: float) -> Scene:
 
 
 def with_beds(frame: Frame, scene: Scene) -> list[Scene]:
-    """The scene with each of some level tops as its floor, the largest first, and with an object behind it, such as the
+    """The scene with each of the level tops as its floor, the largest first, and with an object behind it, such as the
     back of a sofa, as a wall; and the scene itself."""
     found = []
-    for top in level_tops(frame, scene, BED)[:BEDS]:
+    for top in level_tops(frame, scene, BED):
         raised = _raised(scene, top)
         backs = _backs(whole(frame), raised)
         # who lies on their side may seem to be one

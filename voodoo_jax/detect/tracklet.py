@@ -17,7 +17,6 @@ from voodoo_jax.geometry.point_cloud import quantile
 from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.records.observation import BodyObservation
 
-PACE = 2.5  # metres per second, of a person who is hidden for a while: a quick walk; by hand
 AROUND = 0.8  # metres of uncertainty of their place in any case; by hand
 LIKE = 0.07  # metres of height by which two sights of one person may differ; by hand
 WATCHED = 150  # last frames in which swaying is tested; five seconds, by hand
@@ -143,5 +142,5 @@ def _unlike(before: Tracklet, after: Tracklet, frames: list[BodyObservation]) ->
     if before.last >= after.since:
         return np.inf
     seconds = (frames[after.since].time_ns - frames[before.last].time_ns) / 1e9
-    away = np.linalg.norm(after.places[0] - before.places[-1]) / (AROUND + PACE * seconds)
+    away = np.linalg.norm(after.places[0] - before.places[-1]) / (AROUND + SPEED * seconds)
     return float(max(away, abs(after.height - before.height) / LIKE))
