@@ -254,7 +254,7 @@ def mechanisms() -> Off:
         "segments: no poles": (body_likelihood, "SLIM", 1e-9),
         "segments: near ones": (body_likelihood, "NEAR", 1e9),
         "segments: lying people": (tracklets.Tracklets, "_lying", lambda *given: None),
-        "segments: beds": (tracklets, "with_beds", lambda frame, scene: [scene]),
+        "segments: beds": (tracklets, "with_beds", lambda frame, scene, highest: [scene]),
         "segments: backs of sofas": (raise_floor, "_backs", lambda *given: []),
         "following: what was seen beside is background": (finder, "_learn", lambda *given: None),
         "following: what remains is background": (finder, "_left", property(_Nothing, lambda self, value: None)),

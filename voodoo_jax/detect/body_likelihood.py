@@ -13,8 +13,8 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation
 
 LONG = 1.5  # times as long as it is high: a person sitting on the floor with straight legs is shorter; by hand
-# of the body's height: length of a lying person, with knees drawn up or arms overhead; by hand
-SHORTEST, LONGEST = 0.5, 1.3
+# of the body's height: length of a lying person, with knees drawn up or arms overhead, who stands is no higher; by hand
+SHORTEST, LONGEST = 0.5, 1.35
 # of the square of the body's height: the area that is seen of it; by hand (0.05 to 0.15 in 14 simulated people, the top
 # and front of a bed have 0.3 and more)
 SMALL, LARGE = 0.03, 0.25
@@ -31,7 +31,6 @@ HEADS = 0.6  # of its height: a single object above a body, and higher, is its h
 # length, metres; by hand
 PART, LEAST = 0.3, 0.45
 SPREAD, SQUAT = 0.8, 0.75  # of its height: a wider and lower object is a counter or a sofa; by hand
-TALLEST = 1.35  # of its height: a higher object is not the body; by hand
 BROAD = 1.5  # times that area: an object even broader at the top is less likely the body
 
 
@@ -132,7 +131,7 @@ def candidate(
         extent = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
         own = np.clip(top / body.height, 1 - body.loose, 1 + body.loose)
         high, wide = own * body.height, own * body.width
-        tall = least * high <= top <= TALLEST * high
+        tall = least * high <= top <= LONGEST * high
         # as large as the body, or larger: hardly more likely
         likely = areas[k] / (areas[k] + 0.5 * wide * high)
         likely *= min(np.hypot(*np.ptp(places[1:, mine], axis=1)) / (SLIM * wide), 1) ** 2

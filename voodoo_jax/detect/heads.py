@@ -8,7 +8,7 @@ hand.
 import numpy as np
 from jaxtyping import Float32, Int
 
-from voodoo_jax.detect.body_likelihood import FEWEST, HEADS, TALLEST, Build
+from voodoo_jax.detect.body_likelihood import FEWEST, HEADS, LONGEST, Build
 from voodoo_jax.detect.clearing import Clearing
 from voodoo_jax.geometry.voxels import cells_of, spread, touching
 
@@ -20,8 +20,7 @@ DROP = 0.07
 # metres, level, at least, between two heads, and at most between the edges of what hangs together in depth: a chest is
 # 0.25 deep (ANSUR II), and people lean; by hand
 APART = 0.28
-COLUMN = 0.16  # metres, level, around the middle of a head: what is under it; half as wide as shoulders, by hand
-BAND, LOWEST, FILLED = 0.1, 0.45, 0.85  # metres; of its top; share of the bands: how much of a body is there; by hand
+LOWEST, FILLED = 0.45, 0.85  # of its top, and share of the bands from there up: how much of a body is there; by hand
 MOST = 4.5  # metres: what is wider is a room; by hand
 
 
@@ -101,11 +100,12 @@ def _reached(top: np.ndarray, start: tuple, least: float) -> np.ndarray:
 def _has_body(height: np.ndarray, level: np.ndarray, spot: np.ndarray, body: Build, least: float) -> bool:
     """Whether a head is as high as a person's may be, with a body below it."""
     top = float(spot[2])
-    if not least * body.height <= top <= TALLEST * body.height:
+    if not least * body.height <= top <= LONGEST * body.height:
         return False
-    under = height[np.hypot(*(level - spot[:2, None])) < COLUMN]
+    under = height[np.hypot(*(level - spot[:2, None])) < APART / 2]  # what is under it
     low = max(LOWEST * top, float(np.min(height)))
-    bands = np.arange(low, top - BAND / 2, BAND)
+    high = BRIDGED * CELL
+    bands = np.arange(low, top - high / 2, high)
     if len(bands) < 3:
         return False
-    return bool(np.mean(np.histogram(under, [*bands, top + BAND])[0] > 0) >= FILLED)
+    return bool(np.mean(np.histogram(under, [*bands, top + high])[0] > 0) >= FILLED)

@@ -36,7 +36,8 @@ SPEED = 3.0  # metres per second: so fast the body may be where it was not seen 
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
-PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
+# times the points that are kept: more by a step (STEP) or so are thinned before all else, down to that; by hand
+ENOUGH = 1.5
 STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
 # a thing is a part of the body if more points of it than this share of the body's are near where the body was, or than
 # these: of a sparse sensor a hand that hides its arm has no more; by hand
@@ -197,7 +198,7 @@ class BodySegmenter:
         kept."""
         assert self.last is not None
         count, kept = len(self.last), self.settings.points
-        if self.thins and count >= (ENOUGH if self._steps else PLENTY) * kept:
+        if self.thins and count >= (ENOUGH if self._steps else ENOUGH / STEP) * kept:
             steps = 1
             while count * STEP**steps >= ENOUGH * kept:
                 steps += 1

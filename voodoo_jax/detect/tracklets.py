@@ -35,7 +35,9 @@ HELD = 300  # frames of points that wait until it is known which thing is the bo
 # frames: who may not wait does not take another thing for the body before; and so often all that is there is looked
 # through for others
 PATIENCE = 60
-LOW = 0.5  # of its height: so low the body may be after all if it moves, where nothing else is like it
+# of its height: so low the body may be after all if it moves, where nothing else is like it; and so high a bed, for a
+# person sits down on it first
+LOW = 0.5
 IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the time being; by hand
 LIKELY = 0.06  # of what is likeliest to be a body: a child of 1.1 m is so much less so than an adult; by hand
 ALL = 6  # things that are followed at once, at most; by hand
@@ -230,7 +232,7 @@ class Tracklets:
         """A candidate lying on the floor or on a bed; None without one, or if one is followed already."""
         if any(t.finder.lies for t in self.followed):
             return None
-        for scene in with_beds(frame, self.finder.scene):
+        for scene in with_beds(frame, self.finder.scene, LOW * self.finder.body.height):
             finder = self.finder.lying(self.settings, scene)
             seen = finder(clear, taken)
             if len(seen.points) >= TELLING and finder.likely == 1.0:  # not of an upright person

@@ -19,7 +19,8 @@ class LaterStart:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"points"})
 
-    as_well: float = 1.2  # takes the earliest start below this multiple of the least cost: less is tracked backwards
+    # takes the earliest start below this multiple of the least cost: less is tracked backwards; see also TallerSize
+    as_well: float = 1.2
     clearer: float = 0.5  # a later start must cost less than this share of the first one
 
     def __call__(self, run: Runner, search: Search) -> Search:
