@@ -27,11 +27,10 @@ from voodoo_jax.model.marker_sets import (
 
 SCALE, ACROSS, ALONG = 0.5, 0.1, 0.06  # usual deviations (logarithms) of the scale, a limb's thickness and its length
 MIRRORED = 0.02  # between left and right limbs
-JOINT = 0.005  # metres: a joint's place on its limb
+JOINT = 0.005  # metres: a joint's place on its limb, and its centre at a key point that stands for it
 GIRDLE = 0.03  # metres: a joint that rides on a girdle of its own, as the shoulder does
 CENTRE = 0.004  # metres: a joint's centre by the hips' regression, or midway between markers on both of its sides
 NEAR_SPINES = 0.015  # set by hand: metres: the same by markers that are only near the pelvis' spines
-AT_JOINT = 0.006  # set by hand: metres: a joint's centre at a key point that stands for it
 NOISE = 0.01  # metres: how far a marker moves on its limb with skin and muscle, and so what lies midway between two
 LOOSE = 0.04  # set by hand: metres: a marker that may lie off its place by so much is first looked for
 ON_LIMB = (0.08, 0.08, 0.15)  # set by hand: metres along the limb's axes: a marker of which only the limb is known
@@ -190,7 +189,7 @@ class Priors:
         for centre in topology.centres:
             mine = [m for m, p in enumerate(places) if split_place(p)[0] == centre]
             if mine and centre in centre_of:
-                metres = split_place(places[mine[0]])[1] or AT_JOINT
+                metres = split_place(places[mine[0]])[1] or JOINT
                 found.append((mine, centre_of[centre], 2 * CENTRE if len(mine) > 1 else metres))
         return found
 
