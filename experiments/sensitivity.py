@@ -277,7 +277,7 @@ def mechanisms() -> Off:
         "tracklets: back to the appearance": (tracklets.Tracklets, "_found", _not_back),
         "tracklets: people who come back": (tracklets, "_unlike", lambda *given: np.inf),
         "tracklets: thinned": (tracklets.Tracklets, "_thin", lambda *given: None),
-        "motion: an arm that moves": (motion, "STIRRED", 1 << 30),
+        "motion: an arm that moves": (motion.Sight, "newly_in", lambda self, before: 0.0),
         "motion: swaying": (motion, "SWAYING", np.inf),
         "motion: far away at once": (motion, "AWAY", np.inf),
         "motion: dogs and carts": (motion, "SLID", np.inf),

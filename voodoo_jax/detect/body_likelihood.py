@@ -19,7 +19,7 @@ SHORTEST, LONGEST = 0.5, 1.35
 # and front of a bed have 0.3 and more)
 SMALL, LARGE = 0.03, 0.25
 BROADEST = 0.35  # of the body's height: the width of the half of the points that is nearest to the length; by hand
-LOOKED_AT = 30  # frames, evenly spread; by hand
+LOOKED_AT = 90  # frames, evenly spread
 LOOSE = 0.5  # of its height, or more: so high an animal or a machine may be as well
 SLIM = 0.6  # of its width at rest: a slimmer object is less likely the body
 FEWEST = 50  # points of a thing that may be it

@@ -19,8 +19,6 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import within
 from voodoo_jax.records.observation import BodyObservation
 
-SHARED = 0.5  # of the strips of the narrower piece have the other one above or below it; by hand
-GAP = 0.9  # metres: a larger one would hide all from the chest to the shanks; by hand
 WIDE = 0.65  # of the body's height: no legs are spread wider in a step, and no trunk with its arms; by hand
 NEARER = 0.1  # metres: what hides the gap is so much nearer; the noise of depth is less; by hand
 # of the lower piece is under the upper one, and of the places between them is hidden: flying pixels and holes leave
@@ -109,7 +107,7 @@ def _edges(
     gap: float,
 ) -> tuple[Float[np.ndarray, "column 3"], Float[np.ndarray, "column 3"]] | None:
     """Lower end of the upper piece and upper end of the lower one, in each strip of a sensor's image with continuous
-    depth; None if there are too few."""
+    depth; None if there is none."""
     origin = seen.origins[sensor]
     sight = floor.level(np.median(seen.points[pieces[0]], 0)[None])[0] - floor.level(origin[None])[0]
     far = float(np.linalg.norm(sight))
@@ -133,8 +131,8 @@ def _edges(
     upper, lower = (seen.points[[end[k] for k in both]] for end in ends)
     rise = floor.height(upper) - floor.height(lower)
     apart = np.linalg.norm(floor.level(upper) - floor.level(lower), axis=1)
-    good = (rise > 0) & (rise < GAP) & (apart < APART)
-    if good.sum() < max(1, SHARED * min(map(len, ends))):
+    good = (rise > 0) & (apart < APART)
+    if not good.any():
         return None
     return upper[good].astype(float), lower[good].astype(float)
 

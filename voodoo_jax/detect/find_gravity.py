@@ -19,7 +19,6 @@ from voodoo_jax.records.scene import Scene
 LOW = 0.5  # of its height: so low the body may be, if up is where the log says
 LIKELIER = 2.0  # times as like a body something must be if another way is up
 LEAST = 0.04  # so like a body it must be; measured: up to 0.024 in wrong directions, people 0.12 to 0.27
-BELOW = -0.1  # metres under the floor: no sensor is there; by hand
 
 SAID = (
     "Up is ({}) in the fixed frame, unlike the log's frames: a floor with a person on it is visible. To "
@@ -69,8 +68,8 @@ def upright(
     for other in _others(up, seen, down=not scene.floor_seen):
         if shows_floor(seen, other):
             there = find_scene([seen], other, up_is_sure=False)
-            if there.floor.height(seen.origins).max() < BELOW:
-                continue
+            if there.floor.height(seen.origins).max() < 0:
+                continue  # no sensor is under a floor
             found = likely_body(there, frames, body, settings)
             if found > likeliest:
                 best, likeliest = other, found

@@ -14,13 +14,12 @@ from weakref import ref
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from voodoo_jax.detect.body_likelihood import TELLING
+from voodoo_jax.detect.body_likelihood import LOOKED_AT, TELLING
 from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.geometry.voxels import numbered
 from voodoo_jax.records.observation import BodyObservation, assigned, that_differ
 
-FRAMES = 90  # are looked at, evenly spread
-OFTEN, FEWEST = 0.25, 8  # of them in which a thing at rest is seen, and how many at least
+OFTEN, FEWEST = 0.25, 8  # of the frames that are looked at in which a thing at rest is seen, and how many at least
 WIDE, NARROW = 4.5, 0.04  # times the noise, and metres at least, within which its distances lie
 FINE = 4  # cells for each angle between a sensor's points: one for every pixel
 UNIT, BITS = 2.5e-4, 18  # metres, and bits of a distance that is counted in them
@@ -45,7 +44,7 @@ NOTHING = Resting(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, i
 def resting(frames: list[BodyObservation]) -> Resting:
     """Static points of the frames, for each sensor; none for a moving sensor."""
     there = that_differ(frames, TELLING)
-    there = np.array(there[:: len(there) // FRAMES + 1], int)
+    there = np.array(there[:: len(there) // LOOKED_AT + 1], int)
     if len(there) < FEWEST / OFTEN / 2:
         return NOTHING
     noise = float(np.median([frames[k].noise for k in there]))

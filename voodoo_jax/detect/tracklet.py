@@ -19,7 +19,7 @@ from voodoo_jax.records.observation import BodyObservation
 
 AROUND = 0.8  # metres of uncertainty of their place in any case; by hand
 LIKE = 0.07  # metres of height by which two sights of one person may differ; by hand
-WATCHED = 150  # last frames in which swaying is tested; five seconds, by hand
+HELD = 300  # frames that wait until it is known which thing is the body, and last ones in which swaying is tested
 HIDDEN = 0.02  # share of hidden points from which a person counts as partly hidden; by hand
 BLIND = 1.5  # seconds for which a hidden person is assumed to walk on; by hand
 SLOW = 0.3  # metres per second: a slower person stands; by hand
@@ -59,7 +59,7 @@ class Tracklet:
 
     def sways(self) -> bool:
         """Whether it sways as a person who stands still."""
-        return self.is_person or self.motion.sways(self.frames.frames()[-WATCHED:])
+        return self.is_person or self.motion.sways(self.frames.frames()[-HELD:])
 
     def add(self, frame: BodyObservation, number: int) -> None:
         """Adds its points in the next frame."""
@@ -81,9 +81,9 @@ class Tracklet:
 
     def forget(self) -> None:
         """Deletes frames that are no longer needed, once there are many."""
-        if self._kept > 2 * WATCHED:
-            frames, self.frames, self.before = self.frames.frames()[-WATCHED:], Spill(), None
-            self.first, self._kept = self.first + self._kept - WATCHED, WATCHED
+        if self._kept > 2 * HELD:
+            frames, self.frames, self.before = self.frames.frames()[-HELD:], Spill(), None
+            self.first, self._kept = self.first + self._kept - HELD, HELD
             for frame in frames:
                 self.frames.append(frame)
 

@@ -20,7 +20,7 @@ from voodoo_jax.detect.motion import LITTLE
 from voodoo_jax.detect.raise_floor import with_beds
 from voodoo_jax.detect.segmentation import ENOUGH, SOME, STEP, BodySegmenter
 from voodoo_jax.detect.stillness import Stillness
-from voodoo_jax.detect.tracklet import Tracklet, linked, some_of
+from voodoo_jax.detect.tracklet import HELD, Tracklet, linked, some_of
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import inside, picked
 from voodoo_jax.geometry.voxels import about_within, unique_cells
@@ -31,7 +31,6 @@ from voodoo_jax.records.scene import Scene
 FAIR = 6  # times as long another thing must have moved than the likeliest one
 LOOK = 10  # frames after which other things are looked for
 MOST = 4  # of them
-HELD = 300  # frames of points that wait until it is known which thing is the body
 # frames: who may not wait does not take another thing for the body before; and so often all that is there is looked
 # through for others
 PATIENCE = 60
