@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from voodoo_jax.detect.body_likelihood import LOOKED_AT, TELLING
+from voodoo_jax.detect.visibility import BIN
 from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.geometry.voxels import numbered
 from voodoo_jax.records.observation import BodyObservation, assigned, that_differ
@@ -23,7 +24,6 @@ OFTEN, FEWEST = 0.25, 8  # of the frames that are looked at in which a thing at 
 WIDE, NARROW = 4.5, 0.04  # times the noise, and metres at least, within which its distances lie
 FINE = 4  # cells for each angle between a sensor's points: one for every pixel
 UNIT, BITS = 2.5e-4, 18  # metres, and bits of a distance that is counted in them
-BIN = 0.035  # radians, two degrees: of the directions in which distances are averaged; by hand
 NOISE = 0.6  # measured: of von Neumann's ratio: noise alone is below in 1.4 % of the directions of 30 frames
 RARELY, ALIKE = 0.1, 0.8  # of the frames, and of the usual count of points: an edge is there; by hand
 
@@ -177,7 +177,7 @@ def _direction(ray: Float[np.ndarray, "3 point"], sensor: Int[np.ndarray, " poin
     """A number for each direction from each sensor."""
     x, y, z = ray
     cells = [np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))]
-    azimuth, elevation = (np.floor(cell / BIN).astype(int) + 500 for cell in cells)
+    azimuth, elevation = (np.floor(cell / np.radians(BIN)).astype(int) + 500 for cell in cells)
     return (sensor.astype(int) * 1000 + azimuth) * 1000 + elevation
 
 

@@ -17,12 +17,10 @@ from voodoo_jax.geometry.point_cloud import quantile
 from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.records.observation import BodyObservation
 
-AROUND = 0.8  # metres of uncertainty of their place in any case; by hand
 LIKE = 0.07  # metres of height by which two sights of one person may differ; by hand
 HELD = 300  # frames that wait until it is known which thing is the body, and last ones in which swaying is tested
 HIDDEN = 0.02  # share of hidden points from which a person counts as partly hidden; by hand
 BLIND = 1.5  # seconds for which a hidden person is assumed to walk on; by hand
-SLOW = 0.3  # metres per second: a slower person stands; by hand
 WAY = 0.4  # seconds over which walking speed is measured; by hand
 
 
@@ -114,7 +112,7 @@ class Tracklet:
             return np.zeros(3, np.float32)
         (began, first), (ended, last) = self._way[0], self._way[-1]
         speed = (last - first) / max(ended - began, 1e-3)
-        walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
+        walks = np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
         return (speed if walks else 0 * speed).astype(np.float32)
 
 
@@ -142,5 +140,5 @@ def _unlike(before: Tracklet, after: Tracklet, frames: list[BodyObservation]) ->
     if before.last >= after.since:
         return np.inf
     seconds = (frames[after.since].time_ns - frames[before.last].time_ns) / 1e9
-    away = np.linalg.norm(after.places[0] - before.places[-1]) / (AROUND + SPEED * seconds)
+    away = np.linalg.norm(after.places[0] - before.places[-1]) / (before.finder.settings.reach + SPEED * seconds)
     return float(max(away, abs(after.height - before.height) / LIKE))

@@ -21,7 +21,7 @@ ANY, FEWEST = 8, 20
 ASIDE = 0.6  # metres beside the body's middle that limbs reach, by hand
 LOW = 0.05  # metres above the floor: nothing stands behind what is lower; by hand
 PER_FRAME = 200  # points of an object in a frame that tell where it is; by hand
-BIN = 2.0  # degrees: what is seen in a direction is so wide
+BIN = 2.0  # degrees: what is seen in a direction, here and in stillness.py, is so wide
 AZIMUTHS, ELEVATIONS, PER_RADIAN = int(360 / BIN) + 1, int(180 / BIN) + 1, np.float32(180 / np.pi / BIN)
 # metres: less than the depth of a chest (0.25 in the mean, ANSUR II) and more than that of a limb; by hand
 DEEP = 0.12

@@ -19,7 +19,6 @@ MEET = 0.15  # metres between lines of sight to a point of one person, in the me
 CLOSE = 0.08  # metres of a line of sight from the point that the others give: one farther off is wrong; by hand
 APART = 0.998  # cosine between lines of sight: more parallel ones determine no point; by hand
 LEAST = 6  # points of a person that two cameras have to see; by hand
-AWAY = 0.5  # metres that a person moves from frame to frame, at most; by hand
 SELDOM = 0.1  # of the frames with people, or with markers: what is there in fewer does not count; by hand
 
 
@@ -121,7 +120,7 @@ def _settle(one: _Person, i: int, chosen: list[tuple[int, Sight]], left: list[li
     shared = [name for name in points if name in one.points]
     if len(points) < LEAST or not shared:
         return False
-    if np.median([np.linalg.norm(points[n] - one.points[n]) for n in shared]) > AWAY:
+    if np.median([np.linalg.norm(points[n] - one.points[n]) for n in shared]) > DetectSettings.move:
         return False
     one.points, one.last = {**one.points, **points}, i
     one.frames[i] = points, [sight for _, sight in chosen]

@@ -26,7 +26,6 @@ ALONG = np.cos(np.radians(8))  # of the largest angle at which upwards is an axi
 SPAN = 0.5  # seconds over which rest is tested: noise of markers is small over them; by hand
 REST = 0.03  # metres per second: a slower trunk rests; by hand
 ANKLE, FLOOR = 0.08, 0.1  # metres above the floor: a standing ankle, a lying person's lowest joint; by hand
-LIES = -1.0  # prior logarithm of the odds that a person lies and the log is right; by hand
 PELVIS, SIDES = ("l_hip", "r_hip"), ("l_talocrural", "r_talocrural")
 
 
@@ -60,7 +59,7 @@ def upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> Float[np
     stand = body @ best > STEEPEST
     if (body @ stated > STEEPEST).mean() > SELDOM or stand.mean() <= SELDOM:
         return stated
-    if sum(_lies(one, best, stated) for one in people) + LIES > 0:
+    if sum(_lies(one, best, stated) for one in people) > 0:
         return stated
     if (stand & straight).mean() > SELDOM:
         mean = body[stand & straight].mean(0)
