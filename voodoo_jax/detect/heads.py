@@ -8,7 +8,7 @@ hand.
 import numpy as np
 from jaxtyping import Float32, Int
 
-from voodoo_jax.detect.body_likelihood import FEWEST, HEADS, LONGEST, Build
+from voodoo_jax.detect.body_likelihood import HEADS, LONGEST, TELLING, Build
 from voodoo_jax.detect.clearing import Clearing
 from voodoo_jax.geometry.voxels import cells_of, spread, touching
 
@@ -33,7 +33,7 @@ def each_person(
         return out
     height, *level = clearing.places(points)
     level, flat = np.stack(level), clearing.scene.floor.level
-    for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
+    for k in np.flatnonzero(np.bincount(label) >= 2 * TELLING):
         mine = np.flatnonzero(label == k)
         if not APART <= np.hypot(*np.ptp(level[:, mine], axis=1)) <= MOST:
             continue
