@@ -15,12 +15,12 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.icp.misfit import AROUND, body_distance
+from voodoo_jax.trackers.icp.start.hypothesis import USUAL
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 # times the distance (rms) of points from their own body that they are from the reflected one. Measured: of images 0.9
 # to 1.3, of people who do the same 1.7 and more; and at other times so many times more: 1.8 and more, 1.5 at most
 ALIKE = 1.5
-NEAR = 0.02  # metres: farther points count less, about the depth cameras' noise and a body's misfit; by hand
 IMAGE = (
     "What looked like another person is this one's image in a plane {:.1f} m away, such as a mirror or a window: it is "
     "left out."
@@ -67,7 +67,7 @@ def _distance_of_plane(person: Tracks, image: Tracks, frames: list[BodyObservati
     x = np.ones(3)
     if _rms(off(x)) > ALIKE**2 * own:
         return 0.0
-    x = least_squares(off, x, loss="soft_l1", f_scale=NEAR, diff_step=1e-3, max_nfev=5).x
+    x = least_squares(off, x, loss="soft_l1", f_scale=USUAL, diff_step=1e-3, max_nfev=5).x
     n, offset = plane(x)
     before = np.all((frames[at[0]].origins @ n - offset) * (one @ n - offset) > 0)
     now, then = _rms(off(x)), _rms(off(x, np.roll(at, len(at) // 2)))
