@@ -6,13 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from voodoo_jax.io.as_shown import STEP, TELLING
+from voodoo_jax.io.as_shown import TELLING
 from voodoo_jax.io.decode.image_codec import raw_of
 from voodoo_jax.records.messages import Cloud, Image
 
 # share of the pixels with data that differ between pictures of a sensor with noise, at least: without noise only who
 # moves differs. Measured: 0.36 to 1.0 in recordings of seven kinds of sensors
 NOISY = 0.2
+ROWS = 8  # every so many-th row is compared first; by hand
 
 
 class _Shown(NamedTuple):
@@ -27,7 +28,7 @@ class _Shown(NamedTuple):
         pairs = list(zip(self.parts, other.parts))
         if len(self.parts) != len(other.parts) or any(a.shape != b.shape for a, b in pairs):
             return False
-        return all(np.array_equal(a[::STEP], b[::STEP]) for a, b in pairs) and all(
+        return all(np.array_equal(a[::ROWS], b[::ROWS]) for a, b in pairs) and all(
             np.array_equal(a, b) for a, b in pairs
         )
 

@@ -35,6 +35,7 @@ WINDOW = 1.5  # seconds that are looked at: periods of slow sensors, and transfo
 WAITING = 30.0  # seconds that are kept while nothing can be used yet; by hand
 LATE = 0.15  # seconds that a frame waits for other sensors and for transforms: more than they usually take; by hand
 NEAR = 0.25  # of a period: another sensor's message so near to a frame is the one that belongs to it; by hand
+POLL = 0.1  # seconds; by hand
 
 
 class HeldLog(LogFile):
@@ -172,7 +173,7 @@ class LiveLog:
         return self._items
 
     def _poll(self) -> list[Item]:
-        items = self.source.poll(LATE)
+        items = self.source.poll(POLL)
         self._items += items
         self._came += [time.monotonic()] * len(items)
         held, gone = sum(len(message.data) + ITEM for _, _, message in self._items), 0

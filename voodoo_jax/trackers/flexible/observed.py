@@ -13,7 +13,7 @@ from jaxtyping import Float32, Float64, UInt8
 from voodoo_jax.config.options import FlexibleSettings, Settings
 from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.detect.pipeline import watched
-from voodoo_jax.detect.tracklets import PATIENCE, Tracklets
+from voodoo_jax.detect.tracklets import Tracklets
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame, Picture, Rays
@@ -25,6 +25,7 @@ from voodoo_jax.trackers.flexible.physics import ANKLE
 from voodoo_jax.trackers.flexible.scores import View
 from voodoo_jax.trackers.shared.confidence import STATURE
 
+_PATIENCE = 60  # frames without an image at the beginning of a log after which tracking gives up, by hand
 _NOTHING = np.zeros((0, 3), np.float32)
 _BESIDE, _FASTEST = 0.25, 2.5  # metres from a person's last points, and metres per second: reach of the hands, by hand
 
@@ -164,7 +165,7 @@ class Watching:
                 seen = self._store_features(frame, self.near(frame.time_ns))
                 self.rows.append(number)
                 yield seen
-            elif number >= PATIENCE and not self.rows:
+            elif number >= _PATIENCE and not self.rows:
                 raise self._explain_missing_images()
             elif self._given:
                 yield frame

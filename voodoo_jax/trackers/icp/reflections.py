@@ -10,17 +10,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-from voodoo_jax.config.options import StartSettings
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.icp.misfit import AROUND, body_distance
-from voodoo_jax.trackers.icp.start.hypothesis import USUAL
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
+LOOKED_AT, POINTS = 12, 50  # frames in which two people are compared, and points of each; by hand
 # times the distance (rms) of points from their own body that they are from the reflected one. Measured: of images 0.9
 # to 1.3, of people who do the same 1.7 and more; and at other times so many times more: 1.8 and more, 1.5 at most
 ALIKE = 1.5
+NEAR = 0.02  # metres: farther points count less, about the depth cameras' noise and a body's misfit; by hand
 IMAGE = (
     "What looked like another person is this one's image in a plane {:.1f} m away, such as a mirror or a window: it is "
     "left out."
@@ -45,7 +45,7 @@ def _distance_of_plane(person: Tracks, image: Tracks, frames: list[BodyObservati
     """
     seen = np.array([len(f.points) >= 3 * FEW_POINTS for f in frames], bool)
     both = np.flatnonzero(seen & person.tracked & image.tracked)
-    at = both[:: len(both) // StartSettings.size_frames + 1]
+    at = both[:: len(both) // LOOKED_AT + 1]
     if len(at) < 2:
         return 0.0
     points = [_some(frames[k]) for k in at]
@@ -67,7 +67,7 @@ def _distance_of_plane(person: Tracks, image: Tracks, frames: list[BodyObservati
     x = np.ones(3)
     if _rms(off(x)) > ALIKE**2 * own:
         return 0.0
-    x = least_squares(off, x, loss="soft_l1", f_scale=USUAL, diff_step=1e-3, max_nfev=5).x
+    x = least_squares(off, x, loss="soft_l1", f_scale=NEAR, diff_step=1e-3, max_nfev=5).x
     n, offset = plane(x)
     before = np.all((frames[at[0]].origins @ n - offset) * (one @ n - offset) > 0)
     now, then = _rms(off(x)), _rms(off(x, np.roll(at, len(at) // 2)))
@@ -80,7 +80,7 @@ def _rms(values: np.ndarray) -> float:
 
 def _some(frame: BodyObservation) -> Float[np.ndarray, "some 3"]:
     """Points of a frame, evenly taken, in the fixed frame."""
-    points = frame.points[:: len(frame.points) // (3 * FEW_POINTS) + 1].astype(float)
+    points = frame.points[:: len(frame.points) // POINTS + 1].astype(float)
     T = frame.T_fixed_steady
     return points if T is None else points @ T[:3, :3].T + T[:3, 3]
 

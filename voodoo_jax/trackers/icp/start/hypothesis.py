@@ -18,8 +18,7 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 # a start facing the other way is a rival if its cost is below this multiple of the best; by hand
 RIVAL = 1.1
-# the same multiple where posture or walking also favours the rival, and for starts whose sizes are tried; by hand
-FAR_RIVAL = 3.0
+FAR_RIVAL = 3.0  # the same multiple where posture or walking also favours the rival; by hand
 OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: lowest points above the first: a jump; above the second: hidden feet
 BADLY = 2.0  # times the unexplained cost of a sure start: above it a body fits badly; by hand
 USUAL = 0.018  # metres of noise that every start is allowed; by hand

@@ -19,8 +19,7 @@ class LaterStart:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"points"})
 
-    # takes the earliest start below this multiple of the least cost: less is tracked backwards; see also TallerSize
-    as_well: float = 1.2
+    as_well: float = 1.2  # takes the earliest start below this multiple of the least cost: less is tracked backwards
     clearer: float = 0.5  # a later start must cost less than this share of the first one
 
     def __call__(self, run: Runner, search: Search) -> Search:
