@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from voodoo_jax.detect.body_likelihood import FEWEST, HEAD, Build
+from voodoo_jax.detect.body_likelihood import HEAD, TELLING, Build
 from voodoo_jax.geometry.voxels import cells_of, unique_cells
 
 CELL = 0.06  # metres, of the cells whose number is the area that is seen, however dense points are
@@ -37,7 +37,7 @@ def described(
     **Arguments:** `label` of each point's object; `places` heights above the floor and level coordinates, metres.
     """
     height, level = places[0], places[1:]
-    things, rows = np.flatnonzero(np.bincount(label) >= FEWEST), []
+    things, rows = np.flatnonzero(np.bincount(label) >= TELLING), []
     for k in things:
         mine = np.flatnonzero(label == k)
         low, top = np.percentile(height[mine], [0.5, 99.5])

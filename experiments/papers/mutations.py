@@ -117,7 +117,7 @@ INGREDIENTS = (
     _hecht("noise by the image's motion", "III-A", "filters.py", "+ n.motion_noise * motion", "+ 0.0 * motion", NOISE),
     _hecht("noise in depth", "III-A", "filters.py", "deep.where(pick < n.depth_share, plain)", "plain", DEPTH),
     _hecht("most noise in depth at the ends", "III-A", "filters.py", "n.depth_noise[i] * normal[3, i]", "n.depth_noise[0] * normal[3, i]", DEPTH),
-    _hecht("particles keep the constraints", "III-A", "filters.py", "moved = project_limb((points[0], points[1], points[2]), jnp.ones((3, 1)), space, _PROJECTIONS)", "moved = points[0], points[1], points[2]", "test_particles_are_brought_back_to_what_a_limb_can_be"),
+    _hecht("particles keep the constraints", "III-A", "filters.py", "moved = project_limb((points[0], points[1], points[2]), jnp.ones((3, 1)), space, _SWEEPS)", "moved = points[0], points[1], points[2]", "test_particles_are_brought_back_to_what_a_limb_can_be"),
     _hecht("edge score", "III-B", "scores.py", "edge = jnp.where(shown, channels(pixels)[3], w.hidden_edge)", "edge = jnp.where(shown, 0.5, w.hidden_edge)", SCORES),
     _hecht("surface score", "III-B", "scores.py", "alike = known * jnp.exp(-off / w.colour_scale)", "alike = known * jnp.exp(-0.0 * off)", SCORES),
     _hecht("occlusion model", "III-B", "scores.py", "own = np.arange(4)[:, None] == np.arange(len(near)) // 2", "own = np.arange(4)[:, None] <= np.arange(len(near))", "test_an_arm_before_the_trunk_hides_it_from_the_other_limbs"),

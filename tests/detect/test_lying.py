@@ -95,7 +95,7 @@ def test_each_top_may_be_a_bed_and_the_back_of_a_sofa_is_a_wall(rng):
     seat = grid((2.6, 3.2), (-1.0, 1.0), 0.03)
     sofa = [np.column_stack([seat, np.full(len(seat), 0.42)]), box(2.6, 0.0, 2.0, 0.42), box(3.2, 0.0, 2.0, 0.85)]
     cloud = np.concatenate([room(rng), *sofa])
-    backed, bare, last = with_beds(frame(cloud + rng.normal(0, 0.004, cloud.shape)), SCENE)
+    backed, bare, last = with_beds(frame(cloud + rng.normal(0, 0.004, cloud.shape)), SCENE, 0.8)
     assert last is SCENE and bare.walls == () and bare.floor.offset == pytest.approx(0.42, abs=0.02)
     (back,) = backed.walls
     assert back.height(ORIGIN)[0] > 0 and abs(back.offset + 3.2) < 0.03

@@ -34,7 +34,7 @@ def test_who_is_there_is_found_and_judged_by_the_truth(log, found):
 
 def test_what_is_switched_off_is_noticed(log, found):
     off = mechanisms()
-    with patch.object(*off["segments: no poles"]), patch.object(body_likelihood, "TALLEST", 0.1):
+    with patch.object(*off["segments: no poles"]), patch.object(body_likelihood, "LONGEST", 0.1):
         lost = look(log, human(), Settings())
     assert lost.people == 0 and lost.reached == 0.0 and lost.digest != found.digest
     assert "people 1 -> 0" in row("all", [(log, found, lost)])

@@ -284,7 +284,7 @@ def test_many_notes_of_one_kind_are_one_line():
     found = [(f"'m{k}'", f"is missing for {k} s") for k in range(20)]
     assert len(in_few_lines(found[:3], "markers are missing", "Marker ")) == 3
     (line,) = in_few_lines(found, "markers are missing", "Marker ")
-    assert line.startswith("20 markers are missing: 'm0' is missing for 0 s; 'm1'") and line.endswith("and 12 more.")
+    assert line.startswith("20 markers are missing: 'm0' is missing for 0 s; 'm1'") and line.endswith("and 14 more.")
 
 
 def test_names_and_sites():

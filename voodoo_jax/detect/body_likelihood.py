@@ -13,26 +13,22 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation
 
 LONG = 1.5  # times as long as it is high: a person sitting on the floor with straight legs is shorter; by hand
-# of the body's height: length of a lying person, with knees drawn up or arms overhead; by hand
-SHORTEST, LONGEST = 0.5, 1.3
-HIGHEST = 0.5  # likewise, from the lowest to the highest point: shoulders are a quarter as wide; by hand
+# of the body's height: length of a lying person, with knees drawn up or arms overhead, who stands is no higher; by hand
+SHORTEST, LONGEST = 0.5, 1.35
 # of the square of the body's height: the area that is seen of it; by hand (0.05 to 0.15 in 14 simulated people, the top
 # and front of a bed have 0.3 and more)
 SMALL, LARGE = 0.03, 0.25
-BROADEST = 0.35  # of the body's height: the width of the half of the points that is nearest to the length; by hand
-LOOKED_AT = 30  # frames, evenly spread; by hand
+LOOKED_AT = 90  # frames, evenly spread
 LOOSE = 0.5  # of its height, or more: so high an animal or a machine may be as well
 SLIM = 0.6  # of its width at rest: a slimmer object is less likely the body
-FEWEST = 50  # points of a thing that may be it
-TELLING = 30  # points of a person in a frame, at least: fewer are not informative; by hand
+TELLING = 30  # points of a person in a frame, or of a thing that may be one: fewer are not informative; by hand
 HEAD = (0.15, 0.06)  # the highest part of a body: of its height, and its area, of height times width
 NEAR = 4.0  # metres from the sensor: people farther away are less likely the main one
 HEADS = 0.6  # of its height: a single object above a body, and higher, is its head; by hand
-# likelihood of objects that float, as head and trunk of a person behind something or cut off by the image do; highest
-# lower end, as a share of the top's height, and least length, metres; by hand
-PART, UPPER, LEAST = 0.3, 0.75, 0.45
+# likelihood of objects that float, as head and trunk of a person behind something or cut off by the image do; least
+# length, metres; by hand
+PART, LEAST = 0.3, 0.45
 SPREAD, SQUAT = 0.8, 0.75  # of its height: a wider and lower object is a counter or a sofa; by hand
-TALLEST = 1.35  # of its height: a higher object is not the body; by hand
 BROAD = 1.5  # times that area: an object even broader at the top is less likely the body
 
 
@@ -43,7 +39,6 @@ class Extent(NamedTuple):
     middle: Float[np.ndarray, "3"]  # of them, fixed frame, metres
     length: float  # metres along the axis
     height: float  # metres from the lowest to the highest one
-    width: float  # metres, level, of the half of them that is nearest to the axis
 
     @property
     def lies(self) -> bool:
@@ -59,16 +54,14 @@ def extent(points: Float32[np.ndarray, "point 3"], floor: Plane) -> Extent:
     along = away @ axis
     first, last = np.percentile(along, [1, 99])
     low, high = np.percentile(height, [1, 99])
-    aside = away - along[:, None] * axis
-    centre = np.median(aside, 0)
-    width = 2 * float(np.median(np.linalg.norm(aside - centre, axis=1)))
+    centre = np.median(away - along[:, None] * axis, 0)
     middle = level.mean(0) + (first + last) / 2 * axis + centre + np.median(height) * floor.normal
-    return Extent(axis, middle, float(last - first), float(high - low), width)
+    return Extent(axis, middle, float(last - first), float(high - low))
 
 
 def mostly_lie(frames: list[BodyObservation], floor: Plane) -> bool:
     """Whether the points of most frames are low and long."""
-    seen = [f for f in frames if len(f.points) >= FEWEST]
+    seen = [f for f in frames if len(f.points) >= TELLING]
     return bool(np.mean([extent(f.points, floor).lies for f in seen[:: len(seen) // LOOKED_AT + 1]] or [False]) > 0.5)
 
 
@@ -84,12 +77,11 @@ def find_lying(
     **Arguments:** as for `candidate`; `height` of the body, metres.
     """
     best, largest = -1, 0.0
-    for k in np.flatnonzero(np.bincount(label) >= FEWEST):
+    for k in np.flatnonzero(np.bincount(label) >= TELLING):
         mine = label == k
         found, size = extent(points[mine], floor), float(area[mine].sum())
         long = SHORTEST * height <= found.length <= LONGEST * height
-        flat = found.lies and found.height <= HIGHEST * height and found.width <= BROADEST * height
-        if long and flat and SMALL * height**2 <= size <= LARGE * height**2 and size > largest:
+        if long and found.lies and SMALL * height**2 <= size <= LARGE * height**2 and size > largest:
             best, largest = int(k), size
     return best
 
@@ -127,13 +119,13 @@ def candidate(
     """
     height, areas = places[0], np.bincount(label, area)
     best, size, highest = -1, 0.0, 0.0
-    for k in np.flatnonzero(np.bincount(label) >= FEWEST):
+    for k in np.flatnonzero(np.bincount(label) >= TELLING):
         mine = label == k
         low, top = np.percentile(height[mine], [0.5, 99.5])
         extent = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
         own = np.clip(top / body.height, 1 - body.loose, 1 + body.loose)
         high, wide = own * body.height, own * body.width
-        tall = least * high <= top <= TALLEST * high
+        tall = least * high <= top <= LONGEST * high
         # as large as the body, or larger: hardly more likely
         likely = areas[k] / (areas[k] + 0.5 * wide * high)
         likely *= min(np.hypot(*np.ptp(places[1:, mine], axis=1)) / (SLIM * wide), 1) ** 2
@@ -143,7 +135,7 @@ def candidate(
         likely /= 1 + (np.median(distance[mine]) / NEAR) ** 2
         fits = np.linalg.norm(extent) < max(1.5 * high, np.hypot(wide, high))  # animals are longer than they are high
         if low >= 0.5 * top:
-            likely *= PART if low < UPPER * top and top - low > LEAST and not body.loose else 0
+            likely *= PART if top - low > LEAST and not body.loose else 0
         if top < SQUAT * high and np.hypot(*np.ptp(places[1:, mine], axis=1)) > SPREAD * high and not body.loose:
             continue
         if tall and fits and likely > size:

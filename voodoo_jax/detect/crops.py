@@ -8,9 +8,9 @@ from voodoo_jax.detect.units import AT_ZERO, SPREAD
 from voodoo_jax.io.calibrations import CROPPED
 from voodoo_jax.io.opened_log import LogReader
 from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.tracks import RIGHT
 
 LEVEL, TILTED = 1.0, 2.0  # degrees: a floor by transforms as exact as they are, and one that is not; by hand
-RIGHT = 0.1  # metres: joints nearer to their true places are right, as joint_confidence means it; by hand
 
 
 def with_crops(reader: LogReader) -> LogReader:

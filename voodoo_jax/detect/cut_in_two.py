@@ -13,15 +13,12 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build
 from voodoo_jax.detect.clearing import GAPS, USUAL_SPACING, Clearing
+from voodoo_jax.detect.heads import APART, CELL
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import within
 from voodoo_jax.records.observation import BodyObservation
 
-COLUMN = 0.05  # metres, of strips from top to bottom, and between places in the gap: two in a limb's width; by hand
-SHARED = 0.5  # of the strips of the narrower piece have the other one above or below it; by hand
-GAP = 0.9  # metres: a larger one would hide all from the chest to the shanks; by hand
-DEEP = 0.3  # metres, level, from edge to edge: a chest is 0.25 deep (ANSUR II), and people lean; by hand
 WIDE = 0.65  # of the body's height: no legs are spread wider in a step, and no trunk with its arms; by hand
 NEARER = 0.1  # metres: what hides the gap is so much nearer; the noise of depth is less; by hand
 # of the lower piece is under the upper one, and of the places between them is hidden: flying pixels and holes leave
@@ -90,7 +87,7 @@ def _one_under_another(
         for j, lower in enumerate(pieces):
             if rise[j] >= rise[i] or np.linalg.norm(middle[i] - middle[j]) > wide:
                 continue
-            beneath = within(level[lower], level[upper], DEEP).mean() >= MOST
+            beneath = within(level[lower], level[upper], APART).mean() >= MOST
             if beneath and _extent(level[np.concatenate([upper, lower])]) < wide:
                 yield upper, lower
 
@@ -110,21 +107,21 @@ def _edges(
     gap: float,
 ) -> tuple[Float[np.ndarray, "column 3"], Float[np.ndarray, "column 3"]] | None:
     """Lower end of the upper piece and upper end of the lower one, in each strip of a sensor's image with continuous
-    depth; None if there are too few."""
+    depth; None if there is none."""
     origin = seen.origins[sensor]
     sight = floor.level(np.median(seen.points[pieces[0]], 0)[None])[0] - floor.level(origin[None])[0]
     far = float(np.linalg.norm(sight))
-    if far < DEEP:
+    if far < APART:
         return None
     sight /= far
     side = np.cross(floor.normal, sight)
-    strip = max(COLUMN, GAPS * gap * far)
+    strip = max(CELL, GAPS * gap * far)  # from top to bottom
     ends: list[dict[int, int]] = []
     for piece, sign in zip(pieces, (-1, 1)):
         piece = piece[seen.sensor[piece] == sensor]
         to = seen.points[piece] - origin
         along = to @ sight
-        piece, to, along = (some[along > DEEP] for some in (piece, to, along))
+        piece, to, along = (some[along > APART] for some in (piece, to, along))
         column = np.floor(to @ side / along * far / strip).astype(int)
         order = np.argsort(sign * above[piece], kind="stable")  # the last one of a column is its end
         ends.append(dict(zip(column[order].tolist(), piece[order].tolist())))
@@ -134,8 +131,8 @@ def _edges(
     upper, lower = (seen.points[[end[k] for k in both]] for end in ends)
     rise = floor.height(upper) - floor.height(lower)
     apart = np.linalg.norm(floor.level(upper) - floor.level(lower), axis=1)
-    good = (rise > 0) & (rise < GAP) & (apart < DEEP)
-    if good.sum() < max(1, SHARED * min(map(len, ends))):
+    good = (rise > 0) & (apart < APART)
+    if not good.any():
         return None
     return upper[good].astype(float), lower[good].astype(float)
 
@@ -144,7 +141,7 @@ def _hidden(
     upper: Float[np.ndarray, "column 3"], lower: Float[np.ndarray, "column 3"], nearest: Nearest, sensor: int
 ) -> Bool[np.ndarray, " place"]:
     """Which places between two edges are hidden from the sensor, and not seen as empty by another one."""
-    many = np.maximum(np.linalg.norm(upper - lower, axis=1) / COLUMN, 1).astype(int)
+    many = np.maximum(np.linalg.norm(upper - lower, axis=1) / CELL, 1).astype(int)
     places = np.concatenate(
         [a + (b - a) * ((np.arange(n) + 0.5) / n)[:, None] for a, b, n in zip(upper, lower, many)]
     ).astype(np.float32)

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import TELLING, Build
 from voodoo_jax.detect.find_gravity import upright
-from voodoo_jax.detect.scene import find_scene
+from voodoo_jax.detect.motion import AWAY
+from voodoo_jax.detect.scene import STEEPEST, find_scene
 from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.io.opened_log import LogReader
 
@@ -24,13 +25,11 @@ FAR = 3.0  # metres: how far away what a turning sensor sees is, usually (measur
 COARSE = 0.05  # seconds between offsets that are tried at first: measured, voxels fall from 0.3 s on all the way
 FEWER = 0.9  # of the voxels without an offset: measured 0.68 with 0.15 s, 1.00 without
 WINDOW, MOST = 15.0, 80  # seconds at the beginning, and messages of each sensor in them, that are looked at; by hand
-POINTS = 8000  # of each message; by hand
+POINTS = 8000  # of each message, and of those of opening.py; by hand
 SHARE = 0.5  # of the messages have points of the body, at least; by hand
 REACH, STEP = 1.0, 0.01  # seconds: so far offsets are looked for, and how finely; by hand
 LEAST, BETTER, APART = 0.06, 0.5, 0.04  # seconds, share of the distance at no offset, metres less than that; by hand
 CLOSE = 0.08  # metres: so near both must be then, measured 0.02 to 0.03; else it is not the same that they see
-PATH = 0.4  # metres from end to end of a motion that tells; by hand
-ALIKE = 0.77  # cosine, 40 degrees: so alike directions of view show the same side of what moves; by hand
 
 
 def late_transforms(reader: LogReader) -> dict[str, float]:
@@ -140,10 +139,10 @@ def _motion(reader: LogReader, topic: str, start_ns: int, build: Build, settings
 
 def offset(one: Motion, other: Motion) -> float:
     """Seconds by which the times of the other motion are later than those of the first; 0 if uncertain."""
-    if np.linalg.norm(np.ptp(one.place, axis=0)) < PATH or np.linalg.norm(np.ptp(other.place, axis=0)) < PATH:
+    if np.linalg.norm(np.ptp(one.place, axis=0)) < AWAY or np.linalg.norm(np.ptp(other.place, axis=0)) < AWAY:
         return 0.0
     by = np.arange(-REACH, REACH + STEP / 2, STEP)
-    alike = bool(one.view @ other.view > ALIKE)
+    alike = bool(one.view @ other.view > STEEPEST)  # both show the same side of what moves
     apart = np.array([_apart(one, other, float(b), alike) for b in by])
     if not np.isfinite(apart).any():
         return 0.0

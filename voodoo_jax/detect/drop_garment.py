@@ -47,8 +47,7 @@ class DropGarment(WindowStage):
     low: float = 0.3  # from here ...
     hands: float = 0.4  # ... to here there is such a piece at most heights; hands hang above
     heights: float = 0.7  # of these heights: a chair is below a sitting person, not wide up to the hips
-    feet: float = 0.03  # all is taken out from here ...
-    hips: float = 0.55  # ... to here that is so wide
+    hips: float = 0.55  # all is taken out up to here that is so wide
     slab: float = 0.02  # height of the slices
     link: float = 3.0  # times the distance of neighbouring points: points so near in a slice are of one piece
 
@@ -75,7 +74,7 @@ class DropGarment(WindowStage):
         out = list(frames)
         for k in seen:
             some = self.pieces(frames[k], floor, stature, spacing)
-            worn = (some.height > self.feet) & (some.height < self.hips) & (some.width > self.wide)
+            worn = (some.height < self.hips) & (some.width > self.wide)
             out[k] = frames[k].only(~worn | assigned(frames[k]))
         return out
 

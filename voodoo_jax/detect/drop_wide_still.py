@@ -20,8 +20,6 @@ from voodoo_jax.records.observation import BodyObservation
 
 STRAYS = 5  # percent of a top's points at each of its ends that may be of something else; by hand
 
-LINES = 1000  # through two places each that are looked at once: all of a large thing would take gigabytes; by hand
-
 
 class Top(NamedTuple):
     """A level top, as a rectangle."""
@@ -132,16 +130,15 @@ class DropWideStill(WindowStage):
         far = np.linalg.norm(along, axis=1)
         one, along = one[far > self.wide / 2], (along / np.maximum(far, 1e-9)[:, None])[far > self.wide / 2]
 
-        def off_line(k: int | slice) -> tuple[np.ndarray, np.ndarray]:
+        def off_line(k: int | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             """Positions of points along a line, or several, and their offsets from it."""
             out = level - level[one[k]][..., None, :]
             at = np.sum(out * along[k][..., None, :], -1)
             return at, out - at[..., None] * along[k][..., None, :]
 
-        near = [
-            np.sum(np.linalg.norm(off_line(slice(k, k + LINES))[1], axis=-1) < self.straight, 1)
-            for k in range(0, len(one), LINES)
-        ]
+        # all lines of a large thing at once would take gigabytes
+        through = np.split(np.arange(len(one)), np.flatnonzero(np.diff(one)) + 1)
+        near = [np.sum(np.linalg.norm(off_line(k)[1], axis=-1) < self.straight, 1) for k in through]
         best = int(np.argmax(np.concatenate(near)))
         at, off = off_line(best)
         distance = np.linalg.norm(off, axis=-1)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
-from voodoo_jax.detect.scene import find_scene, shows_floor
+from voodoo_jax.detect.scene import STEEPEST, find_scene, shows_floor
 from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.stage import Surroundings
 from voodoo_jax.records.recording import Frame
@@ -19,8 +19,6 @@ from voodoo_jax.records.scene import Scene
 LOW = 0.5  # of its height: so low the body may be, if up is where the log says
 LIKELIER = 2.0  # times as like a body something must be if another way is up
 LEAST = 0.04  # so like a body it must be; measured: up to 0.024 in wrong directions, people 0.12 to 0.27
-BELOW = -0.1  # metres under the floor: no sensor is there; by hand
-SAME = 0.87  # cosine, 30 degrees: floors are found within 40 of where up is thought to be; by hand
 
 SAID = (
     "Up is ({}) in the fixed frame, unlike the log's frames: a floor with a person on it is visible. To "
@@ -70,8 +68,8 @@ def upright(
     for other in _others(up, seen, down=not scene.floor_seen):
         if shows_floor(seen, other):
             there = find_scene([seen], other, up_is_sure=False)
-            if there.floor.height(seen.origins).max() < BELOW:
-                continue
+            if there.floor.height(seen.origins).max() < 0:
+                continue  # no sensor is under a floor
             found = likely_body(there, frames, body, settings)
             if found > likeliest:
                 best, likeliest = other, found
@@ -80,16 +78,16 @@ def upright(
 
 def _others(up: Float32[np.ndarray, "3"], seen: Frame, down: bool) -> list[Float32[np.ndarray, "3"]]:
     """Other candidates for the upward direction: rotations by 90 degrees about the viewing direction, the axes of the
-    frame, and, if the sensor may look `down`, the reverse viewing direction; each more than 30 degrees from those
-    before."""
+    frame, and, if the sensor may look `down`, the reverse viewing direction; each more than 40 degrees, within
+    which floors are found, from those before."""
     away = np.mean(seen.points - seen.origins[seen.sensor], 0)
     ahead = away / max(float(np.linalg.norm(away)), 1e-6)
     turned = [Rotation.from_rotvec(k * np.pi / 2 * ahead).apply(up) for k in (1, 2, 3)]
     found: list[np.ndarray] = []
     # a wall may be taken for a floor if another floor is seen already
     for other in (*turned, *([-ahead] if down else []), *np.eye(3), *-np.eye(3)):
-        against = not down and other @ -ahead > SAME
-        if not against and all(other @ known < SAME for known in (up, *found)):
+        against = not down and other @ -ahead > STEEPEST
+        if not against and all(other @ known < STEEPEST for known in (up, *found)):
             found.append(other.astype(np.float32))
     return found
 

@@ -8,19 +8,19 @@ hand.
 import numpy as np
 from jaxtyping import Float32, Int
 
-from voodoo_jax.detect.body_likelihood import FEWEST, HEADS, TALLEST, Build
+from voodoo_jax.detect.body_likelihood import HEADS, LONGEST, TELLING, Build
 from voodoo_jax.detect.clearing import Clearing
 from voodoo_jax.geometry.voxels import cells_of, spread, touching
 
-CELL = 0.05  # metres, of the map of heights; as wide as a hand, by hand
+CELL = 0.05  # metres, of the map of heights, and of strips in cut_in_two: as wide as a hand, two in a limb; by hand
 BRIDGED = 2  # cells: ground that is no farther from other ground hangs together with it; by hand
 # of the body's height: so much lower is the ground between two heads. Shoulders are 0.18 below the top of the head (in
 # ANSUR II), arms around shoulders are in between; by hand
 DROP = 0.07
-APART = 0.28  # metres, level, at least, between two heads: people are deeper than that; by hand
-COLUMN = 0.16  # metres, level, around the middle of a head: what is under it; half as wide as shoulders, by hand
-BAND, LOWEST, FILLED = 0.1, 0.45, 0.85  # metres; of its top; share of the bands: how much of a body is there; by hand
-WIDE = 0.33  # of its height: what is not even so wide is one; by hand
+# metres, level, at least, between two heads, and at most between the edges of what hangs together in depth: a chest is
+# 0.25 deep (ANSUR II), and people lean; by hand
+APART = 0.28
+LOWEST, FILLED = 0.45, 0.85  # of its top, and share of the bands from there up: how much of a body is there; by hand
 MOST = 4.5  # metres: what is wider is a room; by hand
 
 
@@ -33,9 +33,9 @@ def each_person(
         return out
     height, *level = clearing.places(points)
     level, flat = np.stack(level), clearing.scene.floor.level
-    for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
+    for k in np.flatnonzero(np.bincount(label) >= 2 * TELLING):
         mine = np.flatnonzero(label == k)
-        if not WIDE * body.height <= np.hypot(*np.ptp(level[:, mine], axis=1)) <= MOST:
+        if not APART <= np.hypot(*np.ptp(level[:, mine], axis=1)) <= MOST:
             continue
         # a head hangs together with its body by a neck that may not be seen
         high = (label != k) & (height > HEADS * body.height)
@@ -100,11 +100,12 @@ def _reached(top: np.ndarray, start: tuple, least: float) -> np.ndarray:
 def _has_body(height: np.ndarray, level: np.ndarray, spot: np.ndarray, body: Build, least: float) -> bool:
     """Whether a head is as high as a person's may be, with a body below it."""
     top = float(spot[2])
-    if not least * body.height <= top <= TALLEST * body.height:
+    if not least * body.height <= top <= LONGEST * body.height:
         return False
-    under = height[np.hypot(*(level - spot[:2, None])) < COLUMN]
+    under = height[np.hypot(*(level - spot[:2, None])) < APART / 2]  # what is under it
     low = max(LOWEST * top, float(np.min(height)))
-    bands = np.arange(low, top - BAND / 2, BAND)
+    high = BRIDGED * CELL
+    bands = np.arange(low, top - high / 2, high)
     if len(bands) < 3:
         return False
-    return bool(np.mean(np.histogram(under, [*bands, top + BAND])[0] > 0) >= FILLED)
+    return bool(np.mean(np.histogram(under, [*bands, top + high])[0] > 0) >= FILLED)

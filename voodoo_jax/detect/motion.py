@@ -30,8 +30,8 @@ LEFT = 3.0  # times as much of it may be in new places as is no longer in old on
 FLICKER = 2.0  # times as much must have moved since the first frame than since the last one: noise comes and goes
 ENOUGH = 15  # frames in which it is elsewhere: a thing that moves by itself
 LITTLE = 4  # frames in which an object that moves at all is elsewhere, at the end of waiting
-STIRRED = 10  # frames in which about an arm is at an empty place, for people who move no more than that; by hand
-BRIEF = 8  # frames: an object seen in fewer is not a person; by hand
+# frames: an object seen in fewer is not a person; with about an arm at an empty place in so many, it is one; by hand
+BRIEF = 10
 ASKS = DropMotionless()  # which directions are tested for motion, and when
 # of these: of standing people 80 % move or more, of a cupboard behind a moving person a third (measured)
 SWAYING = 0.6
@@ -133,7 +133,7 @@ class Motion:
     @property
     def is_persons(self) -> bool:
         """Whether it is a person by its motion."""
-        return (self.alive or self.enough or self.went >= LITTLE or self.stirred >= STIRRED) and self.seen >= BRIEF
+        return (self.alive or self.enough or self.went >= LITTLE or self.stirred >= BRIEF) and self.seen >= BRIEF
 
     def sways(self, frames: Sequence[BodyObservation]) -> bool:
         """Whether it moves like a person who stands still, by millimetres: then it is a person from now on. `frames`:

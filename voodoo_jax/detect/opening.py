@@ -17,8 +17,8 @@ from scipy.spatial import KDTree
 from voodoo_jax.config.options import DetectSettings, ReadSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.camera_motion import FASTER, STILL, moved, onto_planes, turned
-from voodoo_jax.detect.crops import RIGHT, with_crops
-from voodoo_jax.detect.delays import WINDOW, late_transforms, offsets
+from voodoo_jax.detect.crops import with_crops
+from voodoo_jax.detect.delays import POINTS, WINDOW, late_transforms, offsets
 from voodoo_jax.detect.segmentation import CELL
 from voodoo_jax.detect.units import FIRST, with_units
 from voodoo_jax.geometry.depth_edges import SMEARED, between_edges
@@ -28,10 +28,11 @@ from voodoo_jax.io.convert.sources import as_mcap
 from voodoo_jax.io.log_reader import NOT_OFF, TORN, LogReader, is_decisive, off_level, open_log, read_whole
 from voodoo_jax.records.messages import Image
 from voodoo_jax.records.recording import Frame, Recording
+from voodoo_jax.records.tracks import RIGHT
 
 # By hand, tried on simulated pairs of cameras; judged on others in experiments/scoreboard/promises/sensors_agree.py
-# Frames of a sensor, spread over the beginning; points of a frame; points around one that show its normal.
-FRAMES, POINTS, PATCH = 10, 8000, 12
+# Frames of a sensor, spread over the beginning; points around one that show its normal.
+FRAMES, PATCH = 10, 12
 # By hand, as above: metres from a surface, at most; share of a sensor's upright points on others' surfaces, and points,
 # at least; times as many as at first; of the best fit's, those of one as good
 REACH, SHARED, FEWEST, BETTER, ALMOST = 0.35, 0.1, 100, 1.2, 0.95

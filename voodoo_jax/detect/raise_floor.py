@@ -9,7 +9,8 @@ from jaxtyping import Float32
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import TELLING, Build
-from voodoo_jax.detect.scene import filled
+from voodoo_jax.detect.heads import APART
+from voodoo_jax.detect.scene import UPRIGHT, filled
 from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.stage import Surroundings
 from voodoo_jax.geometry.plane import Plane, fit_plane
@@ -28,9 +29,7 @@ FEET = 0.2  # metres above it
 AROUND = 0.2, 0.5  # metres from the feet where its top is visible ...
 FEW = 0.02  # of as many points as in the direction with most
 SECTORS, SEEN = 8, 6  # directions, and in how many of them, at least
-BED, BEDS = 0.85, 3  # metres above the floor of surfaces to lie on, such as hospital beds; their number; by hand
-# of the back of a sofa: metres above its seat at most and at least, and its length; cosine of its slope; by hand
-BACK, HIGH, LENGTH, UPRIGHT = 0.7, 0.28, 1.4, 0.17
+BACK, LENGTH = 0.7, 1.4  # metres: of the back of a sofa, above its seat at most, and from end to end; by hand
 
 
 @dataclass(frozen=True)
@@ -63,11 +62,11 @@ def _raised(scene: Scene, top: float) -> Scene:
     return replace(scene, floor=floor, floor_seen=True, floor_open=False)
 
 
-def with_beds(frame: Frame, scene: Scene) -> list[Scene]:
-    """The scene with each of some level tops as its floor, the largest first, and with an object behind it, such as the
+def with_beds(frame: Frame, scene: Scene, highest: float) -> list[Scene]:
+    """The scene with each of the level tops as its floor, the largest first, and with an object behind it, such as the
     back of a sofa, as a wall; and the scene itself."""
     found = []
-    for top in level_tops(frame, scene, BED)[:BEDS]:
+    for top in level_tops(frame, scene, highest):
         raised = _raised(scene, top)
         backs = _backs(whole(frame), raised)
         # who lies on their side may seem to be one
@@ -87,7 +86,7 @@ def _backs(frame: BodyObservation, raised: Scene) -> list[Plane]:
         return []
     plane, inside = fit
     along = points[inside] @ np.cross(raised.floor.normal, plane.normal)
-    if filled(along, raised.floor.height(points[inside])) < LENGTH or np.percentile(height[some][inside], 90) < HIGH:
+    if filled(along, raised.floor.height(points[inside])) < LENGTH or np.percentile(height[some][inside], 90) < APART:
         return []
     side = 1 if plane.height(frame.origins[:1])[0] > 0 else -1
     return [Plane(side * plane.normal, side * plane.offset)]
@@ -96,7 +95,8 @@ def _backs(frame: BodyObservation, raised: Scene) -> list[Plane]:
 def level_tops(frame: Frame, scene: Scene, highest: float = HIGHEST) -> list[float]:
     """Heights of level surfaces above the floor, up to the `highest`, metres; the largest first."""
     found, height = [], scene.floor.height(frame.points)
-    count = np.bincount(np.clip(height / BIN, 0, 60).astype(int), minlength=61)
+    last = int(highest / BIN) + 2
+    count = np.bincount(np.clip(height / BIN, 0, last).astype(int), minlength=last + 1)
     for k in range(int(LOWEST / BIN), int(highest / BIN)):
         if count[k] == 0 or count[k] < count[k - 2 : k + 3].max():
             continue

@@ -14,7 +14,9 @@ from voodoo_jax.records.scene import Scene
 BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
 WIDE, FILLED = 2.0, 1.3  # metres from end to end of a wall that is seen, and of these as high as all of it, at least
 SLANTED = 0.9  # cosine: a floor that is so far from where it was thought to be is looked for once more
-STEEPEST = 0.77  # cosine: a floor is no farther from where up is thought to be, 40 degrees; by hand
+# cosines: a floor is no farther than 40 degrees from where up is thought to be, nor other directions from one that they
+# are taken for; a wall, or the back of a sofa, is upright to 10; by hand
+STEEPEST, UPRIGHT = 0.77, 0.17
 COLUMN = 0.1  # metres
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
 
@@ -65,7 +67,7 @@ def _find_walls(frame: BodyObservation, floor: Plane, known: list[Plane], rng) -
         rest = rest[np.abs(wall.height(rest)) > 0.05]
     found: list[Plane] = []
     for _ in range(4):
-        fit = fit_plane(rest, lambda n: np.abs(n @ floor.normal) < 0.17, rng, 0.04)
+        fit = fit_plane(rest, lambda n: np.abs(n @ floor.normal) < UPRIGHT, rng, 0.04)
         if fit is None or fit[1].sum() < max(1, 0.08 * len(points)):
             break
         plane, inside = fit

@@ -15,7 +15,7 @@ from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build, candidate, 
 from voodoo_jax.detect.clearing import Cleared, Clearing, distances
 from voodoo_jax.detect.cut_in_two import joined
 from voodoo_jax.detect.heads import each_person
-from voodoo_jax.detect.visibility import in_the_way
+from voodoo_jax.detect.visibility import PER_FRAME, in_the_way
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import even_share, fair_share, inside, picked
 from voodoo_jax.geometry.voxels import Counted, Grid, about_within, cells_of, touching, within
@@ -36,12 +36,13 @@ SPEED = 3.0  # metres per second: so fast the body may be where it was not seen 
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
-PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
+# times the points that are kept: more by a step (STEP) or so are thinned before all else, down to that; by hand
+ENOUGH = 1.5
 STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
 # a thing is a part of the body if more points of it than this share of the body's are near where the body was, or than
 # these: of a sparse sensor a hand that hides its arm has no more; by hand
 FEW, SPECK = 0.012, (2.0, 5.0)
-MANY_BESIDE, SOME_BESIDE = 600, 200  # points beside the body that are kept in all, and of one frame; by hand
+SOME = 600  # points of a person, or of what is beside the body, that tell where either is; by hand
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
@@ -197,7 +198,7 @@ class BodySegmenter:
         kept."""
         assert self.last is not None
         count, kept = len(self.last), self.settings.points
-        if self.thins and count >= (ENOUGH if self._steps else PLENTY) * kept:
+        if self.thins and count >= (ENOUGH if self._steps else ENOUGH / STEP) * kept:
             steps = 1
             while count * STEP**steps >= ENOUGH * kept:
                 steps += 1
@@ -377,8 +378,8 @@ class BodySegmenter:
             apart, times = self.others[~about_within(self.others, mine, self.settings.move)], 2.0
             apart = np.concatenate([apart, distant]) if len(distant) else apart
         self._background.add(cells_of(apart, CELL), times)
-        if self.last is not None and sum(map(len, self._beside)) < MANY_BESIDE:
-            self._beside.append(apart[:: len(apart) // SOME_BESIDE + 1])
+        if self.last is not None and sum(map(len, self._beside)) < SOME:
+            self._beside.append(apart[:: len(apart) // PER_FRAME + 1])
 
     def beside(self) -> Float32[np.ndarray, "point 3"]:
         """Some points of objects that were seen beside the body at first; later frames are not searched there."""

@@ -14,17 +14,16 @@ from weakref import ref
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from voodoo_jax.detect.body_likelihood import TELLING
+from voodoo_jax.detect.body_likelihood import LOOKED_AT, TELLING
+from voodoo_jax.detect.visibility import BIN
 from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.geometry.voxels import numbered
 from voodoo_jax.records.observation import BodyObservation, assigned, that_differ
 
-FRAMES = 90  # are looked at, evenly spread
-OFTEN, FEWEST = 0.25, 8  # of them in which a thing at rest is seen, and how many at least
+OFTEN, FEWEST = 0.25, 8  # of the frames that are looked at in which a thing at rest is seen, and how many at least
 WIDE, NARROW = 4.5, 0.04  # times the noise, and metres at least, within which its distances lie
 FINE = 4  # cells for each angle between a sensor's points: one for every pixel
 UNIT, BITS = 2.5e-4, 18  # metres, and bits of a distance that is counted in them
-BIN = 0.035  # radians, two degrees: of the directions in which distances are averaged; by hand
 NOISE = 0.6  # measured: of von Neumann's ratio: noise alone is below in 1.4 % of the directions of 30 frames
 RARELY, ALIKE = 0.1, 0.8  # of the frames, and of the usual count of points: an edge is there; by hand
 
@@ -45,7 +44,7 @@ NOTHING = Resting(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, i
 def resting(frames: list[BodyObservation]) -> Resting:
     """Static points of the frames, for each sensor; none for a moving sensor."""
     there = that_differ(frames, TELLING)
-    there = np.array(there[:: len(there) // FRAMES + 1], int)
+    there = np.array(there[:: len(there) // LOOKED_AT + 1], int)
     if len(there) < FEWEST / OFTEN / 2:
         return NOTHING
     noise = float(np.median([frames[k].noise for k in there]))
@@ -178,7 +177,7 @@ def _direction(ray: Float[np.ndarray, "3 point"], sensor: Int[np.ndarray, " poin
     """A number for each direction from each sensor."""
     x, y, z = ray
     cells = [np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))]
-    azimuth, elevation = (np.floor(cell / BIN).astype(int) + 500 for cell in cells)
+    azimuth, elevation = (np.floor(cell / np.radians(BIN)).astype(int) + 500 for cell in cells)
     return (sensor.astype(int) * 1000 + azimuth) * 1000 + elevation
 
 

@@ -11,20 +11,16 @@ from jaxtyping import Float32
 from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.motion import Motion
-from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
+from voodoo_jax.detect.segmentation import SOME, SPEED, STILL, BodySegmenter
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import quantile
 from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.records.observation import BodyObservation
 
-SOME = 600  # points of a person that decide which person is nearer; by hand
-PACE = 2.5  # metres per second, of a person who is hidden for a while: a quick walk; by hand
-AROUND = 0.8  # metres of uncertainty of their place in any case; by hand
 LIKE = 0.07  # metres of height by which two sights of one person may differ; by hand
-WATCHED = 150  # last frames in which swaying is tested; five seconds, by hand
+HELD = 300  # frames that wait until it is known which thing is the body, and last ones in which swaying is tested
 HIDDEN = 0.02  # share of hidden points from which a person counts as partly hidden; by hand
 BLIND = 1.5  # seconds for which a hidden person is assumed to walk on; by hand
-SLOW = 0.3  # metres per second: a slower person stands; by hand
 WAY = 0.4  # seconds over which walking speed is measured; by hand
 
 
@@ -61,7 +57,7 @@ class Tracklet:
 
     def sways(self) -> bool:
         """Whether it sways as a person who stands still."""
-        return self.is_person or self.motion.sways(self.frames.frames()[-WATCHED:])
+        return self.is_person or self.motion.sways(self.frames.frames()[-HELD:])
 
     def add(self, frame: BodyObservation, number: int) -> None:
         """Adds its points in the next frame."""
@@ -83,9 +79,9 @@ class Tracklet:
 
     def forget(self) -> None:
         """Deletes frames that are no longer needed, once there are many."""
-        if self._kept > 2 * WATCHED:
-            frames, self.frames, self.before = self.frames.frames()[-WATCHED:], Spill(), None
-            self.first, self._kept = self.first + self._kept - WATCHED, WATCHED
+        if self._kept > 2 * HELD:
+            frames, self.frames, self.before = self.frames.frames()[-HELD:], Spill(), None
+            self.first, self._kept = self.first + self._kept - HELD, HELD
             for frame in frames:
                 self.frames.append(frame)
 
@@ -116,7 +112,7 @@ class Tracklet:
             return np.zeros(3, np.float32)
         (began, first), (ended, last) = self._way[0], self._way[-1]
         speed = (last - first) / max(ended - began, 1e-3)
-        walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
+        walks = np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
         return (speed if walks else 0 * speed).astype(np.float32)
 
 
@@ -144,5 +140,5 @@ def _unlike(before: Tracklet, after: Tracklet, frames: list[BodyObservation]) ->
     if before.last >= after.since:
         return np.inf
     seconds = (frames[after.since].time_ns - frames[before.last].time_ns) / 1e9
-    away = np.linalg.norm(after.places[0] - before.places[-1]) / (AROUND + PACE * seconds)
+    away = np.linalg.norm(after.places[0] - before.places[-1]) / (before.finder.settings.reach + SPEED * seconds)
     return float(max(away, abs(after.height - before.height) / LIKE))

@@ -18,9 +18,9 @@ from voodoo_jax.detect.body_likelihood import TELLING, Build
 from voodoo_jax.detect.clearing import Cleared
 from voodoo_jax.detect.motion import LITTLE
 from voodoo_jax.detect.raise_floor import with_beds
-from voodoo_jax.detect.segmentation import ENOUGH, STEP, BodySegmenter
+from voodoo_jax.detect.segmentation import ENOUGH, SOME, STEP, BodySegmenter
 from voodoo_jax.detect.stillness import Stillness
-from voodoo_jax.detect.tracklet import SOME, Tracklet, linked, some_of
+from voodoo_jax.detect.tracklet import HELD, Tracklet, linked, some_of
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import inside, picked
 from voodoo_jax.geometry.voxels import about_within, unique_cells
@@ -31,10 +31,12 @@ from voodoo_jax.records.scene import Scene
 FAIR = 6  # times as long another thing must have moved than the likeliest one
 LOOK = 10  # frames after which other things are looked for
 MOST = 4  # of them
-HELD = 300  # frames of points that wait until it is known which thing is the body
-PATIENCE = 60  # frames: who may not wait does not take another thing for the body before
-LOW = 0.5  # of its height: so low the body may be after all if it moves, where nothing else is like it
-AGAIN = 6  # looks for others, of which one goes through all that is there: about two seconds; by hand
+# frames: who may not wait does not take another thing for the body before; so often all that is there is looked through
+# for others; and after so many without an image the flexible tracker gives up
+PATIENCE = 60
+# of its height: so low the body may be after all if it moves, where nothing else is like it; and so high a bed, for a
+# person sits down on it first
+LOW = 0.5
 IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the time being; by hand
 LIKELY = 0.06  # of what is likeliest to be a body: a child of 1.1 m is so much less so than an adult; by hand
 ALL = 6  # things that are followed at once, at most; by hand
@@ -204,7 +206,7 @@ class Tracklets:
 
     def _look(self, frame: Frame, clear: Cleared, taken: list[np.ndarray]) -> None:
         """Begins to follow another object of a body's shape, if there is one; a small one only if there is no other."""
-        if self._number % (AGAIN * LOOK) == 0:
+        if self._number % PATIENCE == 0:
             self._passed = self._passed[:0]
         s, main = self.settings, self.finder
         if main.last is None:
@@ -229,7 +231,7 @@ class Tracklets:
         """A candidate lying on the floor or on a bed; None without one, or if one is followed already."""
         if any(t.finder.lies for t in self.followed):
             return None
-        for scene in with_beds(frame, self.finder.scene):
+        for scene in with_beds(frame, self.finder.scene, LOW * self.finder.body.height):
             finder = self.finder.lying(self.settings, scene)
             seen = finder(clear, taken)
             if len(seen.points) >= TELLING and finder.likely == 1.0:  # not of an upright person

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial import KDTree
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import even_share, picked
 from voodoo_jax.records.observation import BodyObservation
@@ -19,9 +20,8 @@ LOOKED_AT, KEPT = 2500, 400
 ANY, FEWEST = 8, 20
 ASIDE = 0.6  # metres beside the body's middle that limbs reach, by hand
 LOW = 0.05  # metres above the floor: nothing stands behind what is lower; by hand
-NEAR = 0.5  # metres, on the level, from a sensor above the body: nothing is between them; by hand
-SOME = 200  # points of the body that tell its middle, by hand
-BIN = 2.0  # degrees: what is seen in a direction is so wide
+PER_FRAME = 200  # points of an object in a frame that tell where it is; by hand
+BIN = 2.0  # degrees: what is seen in a direction, here and in stillness.py, is so wide
 AZIMUTHS, ELEVATIONS, PER_RADIAN = int(360 / BIN) + 1, int(180 / BIN) + 1, np.float32(180 / np.pi / BIN)
 # metres: less than the depth of a chest (0.25 in the mean, ANSUR II) and more than that of a limb; by hand
 DEEP = 0.12
@@ -42,7 +42,7 @@ def in_the_way(
     nothing = np.zeros((0, 3), np.float32), np.zeros(0, np.int8)
     if not len(own):
         return nothing
-    middle = np.sort(frame.points[own[:: len(own) // SOME + 1]], 0)
+    middle = np.sort(frame.points[own[:: len(own) // PER_FRAME + 1]], 0)
     middle = middle[len(middle) // 2]
     whole = max(0, (len(frame.points) // LOOKED_AT).bit_length())
     kept = _between(frame, own, floor, middle, whole)
@@ -64,9 +64,9 @@ def _between(
     way = middle - origins
     way -= (way @ up)[:, None] * up  # on the level
     far = np.linalg.norm(way, axis=1)
-    way /= np.maximum(far, NEAR)[:, None]
+    way /= np.maximum(far, ReadSettings.min_range)[:, None]
     kept, height = np.zeros(0, int), floor.height(points)
-    for k in np.flatnonzero(far > NEAR):
+    for k in np.flatnonzero(far > ReadSettings.min_range):
         (x, y, z), (u, v, w) = way[k], up
         axes = np.array([way[k], (v * z - w * y, w * x - u * z, u * y - v * x)], np.float32)  # along, across: up x way
         along, aside = axes @ points.T - (axes @ origins[k])[:, None]

@@ -26,7 +26,7 @@ PLANES, TRIALS = 3, 100  # that are looked for one after the other, and draws fo
 NEAR = 0.01  # of the distance: so near to a plane a pixel is on it, with the noise of depth cameras; by hand
 WIDE = 0.08  # share of the pixels that make a plane; by hand
 CLEARLY = 1.3  # times as many pixels on planes one way as the other, at least; by hand
-FLAT = 0.25  # share of the pixels on planes, at least, that tells something; by hand
+FLAT = PLANES * WIDE  # share of the pixels on planes, at least, that tells something: derived, of the smallest ones
 OTHER = {
     "ir", "infra", "infra1", "infra2", "infrared", "amplitude", "amp", "intensity", "brightness", "confidence", "conf",
     "noise", "gray", "grey", "quality", "reflectivity", "mask", "ambient", "signal",

@@ -12,15 +12,14 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int64
 
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.records.recording import Pairs, Rays, joined_rays
 
 MEET = 0.15  # metres between lines of sight to a point of one person, in the median, at most; by hand
 CLOSE = 0.08  # metres of a line of sight from the point that the others give: one farther off is wrong; by hand
 APART = 0.998  # cosine between lines of sight: more parallel ones determine no point; by hand
 LEAST = 6  # points of a person that two cameras have to see; by hand
-AWAY = 0.5  # metres that a person moves from frame to frame, at most; by hand
-GONE = 30  # frames without detections after which a person is gone; by hand
-BRIEF = 0.1  # of the frames with a person: one seen in fewer is none; by hand
+SELDOM = 0.1  # of the frames with people, or with markers: what is there in fewer does not count; by hand
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def people_of(frames: dict[int, list[list[Sight]]]) -> tuple[dict[int, Pairs], d
     for i in sorted(frames):
         _take(people, i, [list(seen) for seen in frames[i]])
     seen = len({i for one in people for i in one.frames})
-    people = [one for one in people if len(one.frames) >= max(2, BRIEF * seen)]
+    people = [one for one in people if len(one.frames) >= max(2, SELDOM * seen)]
     people.sort(key=lambda one: -len(one.frames))
     pairs: dict[int, list[Pairs]] = {}
     rays: dict[int, list[Rays]] = {}
@@ -90,7 +89,7 @@ def people_of(frames: dict[int, list[list[Sight]]]) -> tuple[dict[int, Pairs], d
 
 def _take(people: list[_Person], i: int, left: list[list[Sight]]) -> None:
     """Gives what the cameras see in a frame to people who are known, and makes new ones of the rest."""
-    for one in sorted((p for p in people if i - p.last <= GONE), key=lambda p: -len(p.frames)):
+    for one in sorted((p for p in people if i - p.last <= DetectSettings.forget), key=lambda p: -len(p.frames)):
         chosen: list[tuple[int, Sight]] = []
         for camera, seen in enumerate(left):
             costs = [_off(sight, one.points) for sight in seen]
@@ -121,7 +120,7 @@ def _settle(one: _Person, i: int, chosen: list[tuple[int, Sight]], left: list[li
     shared = [name for name in points if name in one.points]
     if len(points) < LEAST or not shared:
         return False
-    if np.median([np.linalg.norm(points[n] - one.points[n]) for n in shared]) > AWAY:
+    if np.median([np.linalg.norm(points[n] - one.points[n]) for n in shared]) > DetectSettings.move:
         return False
     one.points, one.last = {**one.points, **points}, i
     one.frames[i] = points, [sight for _, sight in chosen]

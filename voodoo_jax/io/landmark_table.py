@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Int64
 from voodoo_jax.records.messages import Features, many
 from voodoo_jax.records.stretches import stretches
 
-NAMES = 3  # names that have been in exactly the same place, at least: it is none; by hand
-REPEATS = 3  # of a place, one after the other, that a marker with noise does not have by chance; by hand
+# names, or times one after the other, that exactly one place has: no marker with noise has that by chance; by hand
+REPEATS = 3
 # metres that others have moved meanwhile, and that it jumps from a place that was held, at least; by hand
 JUMP = 0.02
 AT_ONCE = 0.05  # metres a second: nobody who moves faster stands as still as a number at once; by hand
@@ -137,7 +137,7 @@ def _placeholders(found: Gathered) -> Bool[np.ndarray, " feature"]:
     some[place] = who
     # one name that has never been elsewhere is where it is, and so are all if nothing else is seen
     elsewhere = count < np.where(names > 1, len(name), total[some])
-    shared = (names >= NAMES) & (found.values.shape[1] == 3)
+    shared = (names >= REPEATS) & (found.values.shape[1] == 3)
     # joints that a tracker has put together are in one place at one time, and in another the next
     stamp = np.unique(found.stamps, return_inverse=True)[1].ravel()
     times = np.bincount(np.unique(index * (int(stamp.max()) + 1) + stamp) // (int(stamp.max()) + 1))
@@ -165,7 +165,7 @@ def _held(found: Gathered) -> Bool[np.ndarray, " feature"]:
             elif moved > JUMP and (ends or step[end] > max(JUMP, SHARE * moved)):
                 which[one.rows[first + 1 : end + 1]] = True
     speeds = [one.speed(first - 1) for one, first in stopped if first > 0]
-    if len(speeds) >= NAMES and np.median(speeds) > AT_ONCE:
+    if len(speeds) >= REPEATS and np.median(speeds) > AT_ONCE:
         for one, first in stopped:
             which[one.rows[first + 1 :]] = True
     return which

@@ -16,8 +16,7 @@ from voodoo_jax.records.notes import remark
 from voodoo_jax.records.stretches import stretches
 
 GAP = 0.2  # seconds: a marker that is away for longer is named
-SHOWN = 3  # notes of one kind that are listed one by one, and gaps of one marker
-LISTED = 5  # set by hand: names in a note on many
+SHOWN = 3  # notes of one kind that are listed one by one, gaps of one marker, and names in a note on many
 HINT = 0.06  # set by hand, metres: so near to a point of the body a marker may be the one that belongs there
 HINTED = 0.3  # set by hand: share of the frames in which a marker must be seen to say where it sits
 USUAL = "Plug-in Gait"  # the set that needs no note
@@ -118,8 +117,8 @@ def in_few_lines(found: list[tuple[str, str]], many: str, one: str) -> list[str]
     if len(found) <= SHOWN:
         return [f"{one}{name} {text}." for name, text in found]
     listed = "; ".join(f"{name} {text}" for name, text in found[:SHOWN])
-    names = ", ".join(name for name, _ in found[SHOWN : SHOWN + LISTED])
-    more = f"; then {names}" + (f" and {len(found) - SHOWN - LISTED} more" if len(found) > SHOWN + LISTED else "")
+    names = ", ".join(name for name, _ in found[SHOWN : 2 * SHOWN])
+    more = f"; then {names}" + (f" and {len(found) - 2 * SHOWN} more" if len(found) > 2 * SHOWN else "")
     return [f"{len(found)} {many}: {listed}{more}."]
 
 
@@ -137,8 +136,8 @@ def _residuals(found: dict[str, float]) -> list[str]:
     bad = sorted((name for name in found if found[name] > FAR), key=lambda n: -found[n])
     if not bad:
         return []
-    listed = ", ".join(f"'{n}' {1000 * found[n]:.0f} mm" for n in bad[:LISTED])
-    more = f" and {len(bad) - LISTED} more" if len(bad) > LISTED else ""
+    listed = ", ".join(f"'{n}' {1000 * found[n]:.0f} mm" for n in bad[:SHOWN])
+    more = f" and {len(bad) - SHOWN} more" if len(bad) > SHOWN else ""
     usual = 1000 * float(np.median(list(found.values())))
     return [f"Markers that move on the body, or have a wrong name (the others: {usual:.0f} mm): {listed}{more}."]
 

@@ -27,13 +27,11 @@ from voodoo_jax.model.marker_sets import (
 
 SCALE, ACROSS, ALONG = 0.5, 0.1, 0.06  # usual deviations (logarithms) of the scale, a limb's thickness and its length
 MIRRORED = 0.02  # between left and right limbs
-JOINT = 0.005  # metres: a joint's place on its limb
+JOINT = 0.005  # metres: a joint's place on its limb, and its centre at a key point that stands for it
 GIRDLE = 0.03  # metres: a joint that rides on a girdle of its own, as the shoulder does
-HIP = 0.004  # metres: a hip's place by the regression
+CENTRE = 0.004  # metres: a joint's centre by the hips' regression, or midway between markers on both of its sides
 NEAR_SPINES = 0.015  # set by hand: metres: the same by markers that are only near the pelvis' spines
-MIDDLE = 0.004  # set by hand: metres: a joint's centre in the middle between markers on both of its sides
-AT_JOINT = 0.006  # set by hand: metres: a joint's centre at a key point that stands for it
-PAIRED = 0.01  # set by hand: metres: a joint's place on its limb, where such a middle tells it
+NOISE = 0.01  # metres: how far a marker moves on its limb with skin and muscle, and so what lies midway between two
 LOOSE = 0.04  # set by hand: metres: a marker that may lie off its place by so much is first looked for
 ON_LIMB = (0.08, 0.08, 0.15)  # set by hand: metres along the limb's axes: a marker of which only the limb is known
 SPINES = (("l_asis",), ("r_asis",), ("l_psis", "mid_psis"), ("r_psis", "mid_psis"))
@@ -143,10 +141,10 @@ class Priors:
         usual = np.concatenate([usual, *spread])
         self.middles = self._middles(chain, body, places)
         for _, joint, _ in self.middles:
-            usual[shift(joint)] = PAIRED
+            usual[shift(joint)] = NOISE
         spines = [next((near.index(s) for s in some if s in near), None) for some in SPINES]
         exact = all(s is not None and sites[s] for s in spines)
-        self.hip, self.newington = HIP if exact else NEAR_SPINES, newington
+        self.hip, self.newington = CENTRE if exact else NEAR_SPINES, newington
         self.hips = [joints.index(h) for h in ("l_hip", "r_hip") if h in joints] if None not in spines else []
         settled = {joint for _, joint, _ in self.middles}
         self.hips = [] if settled & set(self.hips) else self.hips  # measured: no regression
@@ -186,13 +184,13 @@ class Priors:
             for side in ("l_", "r_"):
                 pair = [places.index(side + end) for end in ends if side + end in places]
                 if len(pair) == len(ends) and side + joint in joints:
-                    found.append((pair, joints.index(side + joint), MIDDLE))
+                    found.append((pair, joints.index(side + joint), CENTRE))
         centre_of = {V1_NAMES.get(joint, joint): k for k, joint in enumerate(joints)}
         for centre in topology.centres:
             mine = [m for m, p in enumerate(places) if split_place(p)[0] == centre]
             if mine and centre in centre_of:
-                metres = split_place(places[mine[0]])[1] or AT_JOINT
-                found.append((mine, centre_of[centre], 2 * MIDDLE if len(mine) > 1 else metres))
+                metres = split_place(places[mine[0]])[1] or JOINT
+                found.append((mine, centre_of[centre], 2 * CENTRE if len(mine) > 1 else metres))
         return found
 
     def _ends(self, places: np.ndarray) -> list[np.ndarray]:

@@ -16,11 +16,10 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.markers.first_pose import first_poses
-from voodoo_jax.markers.priors import SCALE, Chain, Priors
+from voodoo_jax.markers.priors import NOISE, SCALE, Chain, Priors
 from voodoo_jax.model.body import Body, with_rest_from_joints
 from voodoo_jax.model.marker_sets import V1_NAMES
 
-NOISE = 0.01  # metres: how far a marker moves on its limb with skin and muscle
 REACH = (0.3, 0.15, 0.06)  # metres at which a marker counts a quarter, from the first steps to the last
 STEPS = 15  # at most, for each of them
 UNSURE = 0.1  # set by hand: weight in the first pose of a marker of which hardly more than its limb is known

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from voodoo_jax.geometry.rigid import Poses, apply
+from voodoo_jax.io.key_points import SELDOM
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.markers.first_pose import TO_START as TO_START
 from voodoo_jax.markers.label_swaps import Exchange, sides
@@ -21,7 +22,6 @@ from voodoo_jax.solve.names import FeatureNames
 ENOUGH = 4  # named points in a frame to track by
 CLOSE = 0.1  # metres: nearer to its place a named point is explained
 FRAMES = 24  # of the recording that sizes are fitted to
-OFTEN = 0.1  # set by hand: of the frames with markers: seen in fewer, a marker is left out of the fit
 
 
 class MarkerTable(NamedTuple):
@@ -77,7 +77,7 @@ def sized_by_markers(body: Body, markers: Markers, scale: float) -> Sized:
     count = markers.seen.sum(1)
     good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     body = scaled(body, scale) if scale > 0 else body
-    often = markers.seen.mean(0) > OFTEN * (count > 0).mean()
+    often = markers.seen.mean(0) > SELDOM * (count > 0).mean()
     if not often.all() and often.sum() >= TO_START:  # what is hardly ever there tells nothing of sizes
         k = np.flatnonzero(often)
         places = tuple(markers.places[i] for i in k) if markers.places else ()

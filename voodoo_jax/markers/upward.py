@@ -14,22 +14,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from voodoo_jax.detect.scene import STEEPEST
+from voodoo_jax.io.key_points import SELDOM
 from voodoo_jax.records.tracks import Tracks
 
-UPRIGHT = np.cos(np.radians(40))  # of the direction from the feet to the neck for a standing person; by hand
-SELDOM = 0.1  # of the frames, in which a standing person stands at least; by hand
+# STEEPEST, 40 degrees: of a standing person from the feet to the neck, and the largest bend of a straight knee
 CLIMB = 1.5  # metres: hips that move farther move along the floor, not upwards; by hand
 # between trunk and legs of a person who stands straight: in 12 laboratories they are upright to 4 degrees (measured)
 STRAIGHT = np.cos(np.radians(15))
-KNEES = np.cos(np.radians(35))  # of the largest bend of a straight knee; by hand
 ALONG = np.cos(np.radians(8))  # of the largest angle at which upwards is an axis of the frame; by hand
 SPAN = 0.5  # seconds over which rest is tested: noise of markers is small over them; by hand
 REST = 0.03  # metres per second: a slower trunk rests; by hand
-ANKLE, FLOOR = (
-    0.08,
-    0.1,
-)  # metres above the floor: a standing ankle, a lying person's lowest joint; by hand
-LIES = -1.0  # prior logarithm of the odds that a person lies and the log is right; by hand
+ANKLE, FLOOR = 0.08, 0.1  # metres above the floor: a standing ankle, a lying person's lowest joint; by hand
 PELVIS, SIDES = ("l_hip", "r_hip"), ("l_talocrural", "r_talocrural")
 
 
@@ -56,14 +52,14 @@ def upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> Float[np
     body, straight = np.concatenate([way.body for way in ways]), np.concatenate([way.straight for way in ways])
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     travel = np.max([np.ptp(np.percentile(way.hips, (2, 98), axis=0), axis=0) for way in ways], 0)
-    share = np.where(np.tile(travel, 2) < CLIMB, (body @ axes.T > UPRIGHT).mean(0), 0.0)
+    share = np.where(np.tile(travel, 2) < CLIMB, (body @ axes.T > STEEPEST).mean(0), 0.0)
     # of cameras that are tilted no axis is up
     middle = body.mean(0) / max(float(np.linalg.norm(body.mean(0))), 1e-9)
     best = axes[int(share.argmax())] if share.max() > SELDOM else middle
-    stand = body @ best > UPRIGHT
-    if (body @ stated > UPRIGHT).mean() > SELDOM or stand.mean() <= SELDOM:
+    stand = body @ best > STEEPEST
+    if (body @ stated > STEEPEST).mean() > SELDOM or stand.mean() <= SELDOM:
         return stated
-    if sum(_lies(one, best, stated) for one in people) + LIES > 0:
+    if sum(_lies(one, best, stated) for one in people) > 0:
         return stated
     if (stand & straight).mean() > SELDOM:
         mean = body[stand & straight].mean(0)
@@ -102,7 +98,7 @@ def _way(tracks: Tracks) -> _Way:
     bends = [(trunk, legs), (unit(lh - lk), unit(lk - la)), (unit(rh - rk), unit(rk - ra))]
     shanks = [t.centre_limbs[t.centres.index(name)] for name in SIDES]
     seen = (tracks.evidence.limb_weight[there][:, shanks] > 0).all(1)
-    straight = np.all([(a * b).sum(1) > angle for (a, b), angle in zip(bends, (STRAIGHT, KNEES, KNEES))], 0)
+    straight = np.all([(a * b).sum(1) > angle for (a, b), angle in zip(bends, (STRAIGHT, STEEPEST, STEEPEST))], 0)
     return _Way(unit(trunk + legs), straight & seen, hips)
 
 

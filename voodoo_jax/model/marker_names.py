@@ -25,7 +25,7 @@ LEAST = 5  # names of a set that must be there for it to be believed
 SHARE = 0.15  # of the names: a second set explains at least so many, or is chance
 SUBJECT = 6  # names with one prefix that make a subject of their own
 REORDERED = 3  # words of a name beside its side that are tried in other orders; by hand
-ALIKE = 0.5  # share of the names that two subjects have in common
+ALIKE = 0.5  # share of the names that two subjects have in common, and of a set's numbers that are there at least
 _SIDES = {"l": "l", "left": "l", "r": "r", "right": "r"}
 _NO_MEANING = {"study", "marker", "mkr", "static", "kp", "keypoint"}
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z][a-z]*|[a-z]+|\d+")
@@ -43,7 +43,6 @@ _COUNTED = re.compile(
     re.IGNORECASE,
 )
 JOINT = "joint of {}/"  # what a point without a name is called, of so many, before its number
-MANY = 0.5  # of a set's numbers, at least, and its last one: others are never seen; by hand
 
 
 @dataclass(frozen=True)
@@ -216,7 +215,7 @@ def _behind_a_word(names: Mapping[str, str]) -> dict[str, str]:
     such a set."""
     count, found = counted(names)
     table = numbered_names(count)
-    if table is None or len(set(found.values())) < MANY * count:
+    if table is None or len(set(found.values())) < ALIKE * count:
         return {}
     return {name: table[number] for name, number in found.items()}
 

@@ -13,7 +13,8 @@ from voodoo_jax.model.isb_angles import Angles, joint_angles
 from voodoo_jax.model.joint_names import joint_row, named
 from voodoo_jax.records.notes import all_of, filled
 
-SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named; by hand
+RIGHT = 0.1  # metres: joint_confidence is the probability that a joint is nearer to its true place
+SURE = 0.9  # share of the frames in which a joint is expected to be right: below it is named; by hand
 
 
 def track_columns(tracks: "Tracks") -> dict[str, np.ndarray]:

@@ -44,13 +44,12 @@ from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, Sta
 from voodoo_jax.trackers.flexible.vectors import Vector, kept, vectors
 from voodoo_jax.trackers.shared.confidence import EXPLAINED
 
-_PROJECTIONS = 3  # sweeps over a particle's constraints; more change little; by hand
+_SWEEPS = 3  # over a particle's constraints, and over springs after each pull; more change little; by hand
 # share of the velocity that the dangling body loses per frame; measured: 0.4 and 0.9 give the same, 1 is 1.0 cm worse
 _DAMPING = 0.6
 # refinement: weight of a body point's own position, in measured points, and share of the pull that it follows: above
 # one, since springs undo a part of it. Measured: 2.7 and 6 give the same, 1.8 is as good, 0.8 is 0.3 to 1.3 cm worse
 _HOLD, _PULL = 4.0, 1.2
-_SWEEPS = 3  # relaxations after each pull, by hand
 # in the refinement the head moves less than other points, since its position is measured. Measured: 2 and 4.5 give the
 # same, 1 is 0.2 cm worse
 _REFINED_MASSES = np.where(np.arange(16) == HEAD, np.float32(3), np.float32(1))
@@ -110,14 +109,13 @@ def hypotheses(
     apart = jax.random.permutation(keys[0], jnp.asarray(ndtri((np.arange(count) + 0.5) / count), jnp.float32))
     angle = _GOES_ON * states.rate + n.turning[0] * apart
     lean = n.turning[1] * jax.random.normal(keys[1], (count, 3))
-    ahead = jax.vmap(turned_body)(states, given.dt * (angle[:, None] * given.up + lean)) if count > 1 else states
-    # the last of several hypotheses restarts; a single one, as in the paper, never does
-    anew = given.guessed * jnp.asarray(np.arange(count) == max(count - 1, 1), states.x.dtype)
-    fresh = start(jax.random.fold_in(keys[1], count), body, given.guess, shape)._replace(
-        colours=states.colours, learnt=states.learnt
-    )
+    ahead, anew = states, jnp.zeros(count, states.x.dtype)
     begin = lambda old, new: jnp.where(anew.reshape(-1, *[1] * (old.ndim - 1)) > 0, new, old)  # noqa: E731
-    ahead = jax.tree.map(begin, ahead, fresh)
+    if count > 1:  # a single one, as in the paper, neither turns nor restarts
+        ahead = jax.vmap(turned_body)(states, given.dt * (angle[:, None] * given.up + lean))
+        anew = given.guessed * jnp.asarray(np.arange(count) == count - 1, states.x.dtype)
+        fresh = start(jax.random.fold_in(keys[1], count), body, given.guess, shape)
+        ahead = jax.tree.map(begin, ahead, fresh._replace(colours=states.colours, learnt=states.learnt))
     run = lambda state, key: frame(body, state, given, key, n, shape)  # noqa: E731
     after, seen = jax.vmap(run)(ahead, jax.random.split(keys[2], count))
     step = jax.vmap(lambda x, before: heading(x, given.up) - heading(before, given.up))(
@@ -303,7 +301,7 @@ def spread_and_drawn(
             plain = Vector(normal[:3, i]) * sigma
             deep = (own - Vector(camera)).unit() * (n.depth_noise[i] * normal[3, i])
             points.append(own + deep.where(pick < n.depth_share, plain) * scale)
-        moved = project_limb((points[0], points[1], points[2]), jnp.ones((3, 1)), space, _PROJECTIONS)
+        moved = project_limb((points[0], points[1], points[2]), jnp.ones((3, 1)), space, _SWEEPS)
 
         def drawn_again(points: Limb) -> tuple[Array, ...]:
             logs = log_weight(limb_score(points, context, view, n.weighing), n.weighing)

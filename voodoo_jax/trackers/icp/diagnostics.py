@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.scene import STEEPEST
-from voodoo_jax.markers.diagnostics import FEW, LISTED, SHOWN, name_notes
+from voodoo_jax.markers.diagnostics import FEW, SHOWN, name_notes
 from voodoo_jax.markers.own_sites import Named
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import remark
@@ -149,7 +149,7 @@ def notes_on(run: Runner, tracks: Tracks, named: Named) -> tuple[str, ...]:
         notes.append(remark(f"{share:.0f} % of the body's points were left out (detect.points = {most} per frame)."))
     unused = [(f"'{n}'", f"({c} times): no point on this body in features.names") for n, c in run.unknown.items()]
     if len(unused) > SHOWN:
-        listed = ", ".join(name for name, _ in unused[:LISTED]) + (", ..." if len(unused) > LISTED else "")
+        listed = ", ".join(name for name, _ in unused[:SHOWN]) + (", ..." if len(unused) > SHOWN else "")
         notes.append(f"{len(unused)} features were not used, without points on this body in features.names: {listed}")
     else:
         notes += [f"Feature {name} was not used {text}." for name, text in unused]

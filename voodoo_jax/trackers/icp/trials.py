@@ -14,6 +14,7 @@ from voodoo_jax.geometry.rotations import limb_ends
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
+from voodoo_jax.records.tracks import RIGHT
 from voodoo_jax.solve.scan import State, Step, at_rest, cost_of
 
 FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on
@@ -24,7 +25,6 @@ FASTEST = 10.5
 # metres per second: no joint moves so fast. Measured: joints of 196 logs with truth move at 11.2 (bowling), 11.0 in a
 # spinning kick, 9.2 in a run
 QUICKEST = 11.5
-OFF = 0.1  # metres: a joint that is off by less is right; derived: confidence is the probability of that
 
 
 def place(
@@ -161,7 +161,7 @@ def too_fast(body: Body, segment: Segment, people: list[BodyObservation]) -> int
     are a little off before and after; `people`: of the frames."""
     farthest = moved(body, segment).max(1, initial=0.0)
     seconds = np.diff([frame.time_ns for frame in people]) / 1e9
-    return int(np.sum(turns_about(body, segment.rotation, people) | (farthest > QUICKEST * seconds + 2 * OFF)))
+    return int(np.sum(turns_about(body, segment.rotation, people) | (farthest > QUICKEST * seconds + 2 * RIGHT)))
 
 
 def moved(body: Body, segment: Segment) -> Float[np.ndarray, "step limb"]:

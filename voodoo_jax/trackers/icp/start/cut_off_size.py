@@ -27,13 +27,13 @@ class CutOffSize:
     looks_ahead: ClassVar = False
     needs: ClassVar = frozenset({"points"})
 
-    unusual: float = 2.0  # standard deviations: people of a less unusual size are taken to stand on the assumed floor
-    sizes: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
+    # standard deviations; people of sizes in between are taken to stand on the assumed floor
+    sizes: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)
 
     def __call__(self, run: Runner, search: Search) -> Search:
         best, scene = search.best, run.scene
         known = run.sized or run.settings.start.scale > 0 or run.body.scale_name != "stature" or scene.floor_seen
-        usual = abs(float(best.body.scale) - STATURE) < self.unusual * STATURES
+        usual = abs(float(best.body.scale) - STATURE) < max(self.sizes) * STATURES
         if known or usual or lowest(run, run.people[best.frame]) < HIDDEN:
             return search
         found = [(best.cost * np.exp(rarity(float(best.body.scale))), scene, best)]

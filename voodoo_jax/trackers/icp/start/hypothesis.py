@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from voodoo_jax.config.options import StartSettings
+from voodoo_jax.config.options import DetectSettings, StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
@@ -22,7 +22,6 @@ FAR_RIVAL = 3.0  # the same multiple where posture or walking also favours the r
 OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: lowest points above the first: a jump; above the second: hidden feet
 BADLY = 2.0  # times the unexplained cost of a sure start: above it a body fits badly; by hand
 USUAL = 0.018  # metres of noise that every start is allowed; by hand
-NOISY = 0.03  # metres of noise above which later starts are tried in any case; by hand
 
 # where the learned eye sees a person: every n-th heading is tried, every n-th frame is used, and the weight of the
 # logarithm of its odds against a start's facing in the logarithm of the cost: measured, experiments/eye
@@ -41,7 +40,7 @@ class StartHypothesis(NamedTuple):
 
     def clear(self, sure: float) -> bool:
         """Whether it is certain, by its cost and the noise."""
-        return self.unexplained <= sure and self.noise <= NOISY
+        return self.unexplained <= sure and self.noise <= DetectSettings.noise
 
     @property
     def close_rival(self) -> "StartHypothesis | None":
