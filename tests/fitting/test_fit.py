@@ -30,7 +30,7 @@ from voodoo_jax.fitting.gauss_newton import (
 )
 from voodoo_jax.fitting.judge import ERROR, Judged, verdict_on, weakly_determined
 from voodoo_jax.fitting.objective import as_distances
-from voodoo_jax.fitting.parameters import Changes, changed, height_of, parameters, usual_lengths
+from voodoo_jax.fitting.parameters import Changes, changed, height_of, parameters, usual_lengths, with_lengths
 from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.fitting.tuned_options import tuned_settings
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
@@ -165,6 +165,15 @@ def test_where_the_priors_are_centred():
     assert centre.pop("lengths.forearm") == pytest.approx(-np.log(0.9) / 2, abs=1e-5)
     assert len(centre) == 4 and not any(centre.values())
     assert not usual_lengths(scaled(BODY, 1.6), free).any()
+    # what was measured of a person is added, and is nothing for what is not free
+    measured = dict(zip(free.names, usual_lengths(wrong, free, {"thigh": 1.05, "head": 2.0})))
+    assert measured.pop("lengths.thigh") == pytest.approx(np.log(1.05 / 1.08), abs=1e-5)
+    assert measured.pop("lengths.forearm") == pytest.approx(-np.log(0.9) / 2, abs=1e-5) and not any(measured.values())
+    # the body that a log is tracked with first: lengths left and right are changed by the same factor
+    usual = with_lengths(wrong, free, usual_lengths(wrong, free))
+    assert segment_lengths(usual)["thigh"] == pytest.approx(segment_lengths(BODY)["thigh"], abs=1e-5)
+    assert float(usual.scale) == float(wrong.scale)
+    np.testing.assert_array_equal(usual.sizes[:, :4], wrong.sizes[:, :4])
     dog = load_body("dog")
     long = with_proportions(dog, dict.fromkeys(dog.topology.limbs, 1.1))
     assert not usual_lengths(long, parameters(long, ["lengths"])).any()

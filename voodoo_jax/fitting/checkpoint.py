@@ -46,9 +46,12 @@ def load_progress(path: str | os.PathLike[str], fingerprint: str) -> Progress | 
 
 
 def resumed(
-    state: str | os.PathLike[str] | None, fingerprint: str, size: int, tell: Callable[[str, Progress | None], None]
+    state: str | os.PathLike[str] | None,
+    fingerprint: str,
+    start: Float64[np.ndarray, " all"],
+    tell: Callable[[str, Progress | None], None],
 ) -> tuple[Progress, Callable[[Progress], None]]:
-    """Progress saved in the file `state`, or that of a new search for `size` numbers; and a function that saves later
+    """Progress saved in the file `state`, or that of a new search from `start`; and a function that saves later
     progress and passes it to `tell`, to which the first progress is passed here."""
 
     def step_done(now: Progress) -> None:
@@ -56,6 +59,6 @@ def resumed(
             save_progress(now, state, fingerprint)
         tell("fitting", now)
 
-    progress = (load_progress(state, fingerprint) if state is not None else None) or Progress(np.zeros(size))
+    progress = (load_progress(state, fingerprint) if state is not None else None) or Progress(start)
     tell("fitting", progress)
     return progress, step_done

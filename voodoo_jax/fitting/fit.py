@@ -18,12 +18,12 @@ from voodoo_jax.fitting.checkpoint import Progress, resumed
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
 from voodoo_jax.fitting.gauss_newton import FEW_MORE, BaseSearch, Part, Search, covariance, run_search, spread
 from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, verdict_on, weakly_determined
-from voodoo_jax.fitting.parameters import parameters, usual_lengths
+from voodoo_jax.fitting.parameters import Parameters, parameters, usual_lengths, with_lengths
 from voodoo_jax.fitting.result import Fit
 from voodoo_jax.fitting.seen import Seen
 from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.fitting.tuned_options import tuned_settings
-from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.model.body import Body, scaled, segment_lengths
 from voodoo_jax.solve.scan import options_from
 
 SHARED = ("bands.", "solve.", "features.")  # parameters shared by all persons
@@ -78,11 +78,11 @@ def fit_tracked(
 ) -> Fit:
     """`fit` from recordings that are already tracked; `judge` truths used only by the report."""
     found = searched(seen, settings, options, truths, state, say)
-    search, x, stays, tuned = found.search, found.progress.x, found.stays, found.tuned(settings)
+    search, x, tuned = found.search, found.progress.x, found.tuned(settings)
     if say is not None:
         say("judging", found.progress)
     known = [read_truth(t) if isinstance(t, (str, os.PathLike)) else t for t in truths or judge] or [None] * len(seen)
-    if stays.all():  # the same body
+    if not x.any():  # the same body
         judged = [
             judged_by(s.tracks, s.tracks, part.person, truth) for s, part, truth in zip(seen, search.parts, known)
         ]
@@ -97,8 +97,8 @@ def fit_tracked(
             for new in [search.body(x, p)]
         ]
         judged = [judged_by(was, now, p.person, t) for (was, now), p, t in zip(pairs, search.parts, known)]
-    sizes, usual = is_size(entry_names(search)) & ~stays, search.sd / options.looseness
-    verdict = verdict_on(judged, x / usual, sizes, bool(truths), bool(stays.all()))
+    sizes, usual = is_size(entry_names(search)) & (x != 0), search.sd / options.looseness
+    verdict = verdict_on(judged, x / usual, sizes, bool(truths), not x.any())
     return fit_of(found, settings, options, judged, verdict)
 
 
@@ -129,10 +129,11 @@ def searched(
 ) -> Found:
     """Runs the search alone; arguments of `fit`."""
     tell = say or (lambda what, progress: None)
+    seen = [in_usual_lengths(one, free_of(seen, settings, options), settings) for one in seen]
     chosen = [chosen_frames(s.tracks, _count_points(s), options.frames) for s in seen]
     search = _stiffen_bands(search_of(seen, settings, options, truths, chosen), options)
     size = len(search.sd)
-    progress, step_done = resumed(state, _fingerprint(search, options), size, tell)
+    progress, step_done = resumed(state, _fingerprint(search, options), search.centre, tell)
     cov, apart, stays = np.full((size, size), np.nan), np.full(size, np.nan), np.zeros(size, bool)
     search.compiled()
     for number in range(1, options.rounds + 1):
@@ -147,10 +148,11 @@ def searched(
         parts = search_of(again, settings, options, truths, chosen).parts
         parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
         search, progress = replace(search, parts=parts), replace(progress, done=False)
-    # weakly determined sizes keep their start values, and the others are fitted again
-    stays = weakly_determined(entry_names(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
+    # weakly determined sizes are the usual ones, and the others are fitted again
+    moved = progress.x - search.centre
+    stays = weakly_determined(entry_names(search), moved, np.sqrt(np.diag(cov)), search.sd, apart)
     if stays.any():
-        progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
+        progress = replace(progress, x=np.where(stays, search.centre, progress.x), done=bool(stays.all()))
         progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)
     return Found(search, progress, cov, apart, stays)
 
@@ -176,15 +178,43 @@ def _count_points(seen: Seen) -> Int[np.ndarray, " frame"]:
 
 def track_again(seen: Seen, body: Body, settings: Settings) -> Seen:
     """Tracks a recording with a body of known size."""
+    start = replace(settings.start, scale=float(body.scale))
+    track = replace(settings.track, skip=(*settings.track.skip, "fit_forearms"))
+    return _tracked_with(seen, body, replace(settings, start=start, track=track))
+
+
+def _tracked_with(seen: Seen, body: Body, settings: Settings) -> Seen:
     from voodoo_jax.trackers.base import LogInfo, Task
     from voodoo_jax.trackers.of_points import track_person
 
-    start = replace(settings.start, scale=float(body.scale))
-    track = replace(settings.track, skip=(*settings.track.skip, "fit_forearms"))
-    known = replace(settings, start=start, track=track)
     source = LogInfo(seen.tracks.source, seen.tracks.fixed_frame)
-    found = track_person(Task(body, source, known), seen.scene, seen.people)
-    return seen._replace(tracks=found)
+    return seen._replace(tracks=track_person(Task(body, source, settings), seen.scene, seen.people))
+
+
+def in_usual_lengths(seen: Seen, free: Parameters, settings: Settings) -> Seen:
+    """The recording tracked with a person's usual lengths, from which lengths that are free are sought: poses and
+    stature found with wrong ones agree with these."""
+    given = seen.given or seen.tracks.body
+    centre = usual_lengths(given, free)
+    if not centre.any():
+        return seen
+    return _tracked_with(seen, with_lengths(given, free, centre), settings)._replace(given=given)
+
+
+def _measured(seen: Sequence[Seen]) -> dict[str, float]:
+    """How much longer a person's segments are between placed joints than in the body, factors; means of recordings."""
+    found = [
+        {name: length / segment_lengths(one.tracks.body)[name] for name, length in (one.tracks.segments or {}).items()}
+        for one in seen
+    ]
+    return {name: float(np.mean([one[name] for one in found if name in one])) for some in found for name in some}
+
+
+def free_of(seen: Sequence[Seen], settings: Settings, options: FitSettings) -> Parameters:
+    """The free parameters of a fit."""
+    body = seen[0].tracks.body
+    names = {n for s in seen for n in feature_names(s.people, body.topology, settings.features)}
+    return parameters(body, options.free, tuple(sorted(names)), options.mirrored)
 
 
 def search_of(
@@ -194,11 +224,11 @@ def search_of(
     truths: Sequence[TruthLike] = (),
     chosen: Sequence[Int[np.ndarray, " chosen"]] = (),
 ) -> Search:
-    """Sets up the search: free parameters, priors, and the `chosen` frames of each recording, or well tracked ones."""
+    """Sets up the search from recordings `in_usual_lengths`: free parameters, priors, and the `chosen` frames of each
+    recording, or well tracked ones."""
     chosen = chosen or [chosen_frames(s.tracks, _count_points(s), options.frames) for s in seen]
-    body = seen[0].tracks.body
+    body, free = seen[0].tracks.body, free_of(seen, settings, options)
     names = tuple(sorted({n for s in seen for n in feature_names(s.people, body.topology, settings.features)}))
-    free = parameters(body, options.free, names, options.mirrored)
     persons = [0 if options.persons == "one" else k for k in range(len(seen))]
     scales = [np.median([float(s.tracks.body.scale) for s, p in zip(seen, persons) if p == k]) for k in set(persons)]
     parts = []
@@ -207,8 +237,10 @@ def search_of(
         frames = fit_frames(
             tracks, people, at, settings.features, names, options.frames, options.points, truth, k, options.markers
         )
-        # all recordings of a person have the same proportions
-        own = scaled(seen[persons.index(person)].tracks.body, float(scales[person]))
+        # all recordings of a person have the same proportions: those given, but for parts that the tracker sized
+        one = seen[persons.index(person)]
+        own = with_lengths(one.tracks.body, free, -usual_lengths(one.given or one.tracks.body, free))
+        own = scaled(own, float(scales[person]))
         parts.append(Part(Path(tracks.source).name, own, frames, person))
     icp = options_from(
         replace(settings.solve, max_steps=options.steps, epsilon=0.0, steady=0.0), settings.track, settings.features
@@ -224,8 +256,8 @@ def search_of(
     for person, row in enumerate(rows):
         sd[row] = free.sd * options.looseness
         # by the body before tracking: the prior leaves parts as the tracker sized them, such as forearms
-        one = seen[persons.index(person)]
-        centre[row] = usual_lengths(one.given or one.tracks.body, free)
+        mine = [one for one, p in zip(seen, persons) if p == person]
+        centre[row] = usual_lengths(mine[0].given or mine[0].tracks.body, free, _measured(mine))
     objective = "truth" if truths else "held"
     held = np.zeros(size, bool)
     return Search(free, tuple(parts), objective, tuple(rows), sd, centre, held, options.noise, names, options=icp)

@@ -197,19 +197,20 @@ def fit_flexible(
         progress, place = _run_saved_search(search, options, state, tell)
         cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
         names = entry_names(search)
-        stays = weakly_determined(names, progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
-        if stays.any():  # weakly determined sizes keep their start values, and the others are fitted again
-            progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
+        moved = progress.x - search.centre
+        stays = weakly_determined(names, moved, np.sqrt(np.diag(cov)), search.sd, apart)
+        if stays.any():  # weakly determined sizes are the usual ones, and the others are fitted again
+            progress = replace(progress, x=np.where(stays, search.centre, progress.x), done=bool(stays.all()))
             progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE)
         tell("judging", progress)
         judged = []
         for one, part, truth in zip(seen, search.parts, known):
-            new = part.body if stays.all() else search.body(progress.x, part)
+            new = search.body(progress.x, part) if progress.x.any() else part.body
             before, after = (_track_again(one, body, settings) for body in (part.body, new))
             judged.append(judged_by(before, after, part.person, truth))
-    sizes = is_size(names) & ~stays
+    sizes = is_size(names) & (progress.x != 0)
     usual = search.sd / options.looseness
-    verdict = verdict_on(judged, progress.x / usual, sizes, bool(truths), bool(stays.all()))
+    verdict = verdict_on(judged, progress.x / usual, sizes, bool(truths), not progress.x.any())
     return fit_of(Found(search, progress, cov, apart, stays), settings, options, judged, verdict)
 
 
@@ -323,5 +324,5 @@ def _run_saved_search(
     rest = [repr(replace(options, iterations=0)).encode(), "\n".join(search.free.names).encode()]
     arrays = [np.asarray(v).tobytes() for p in search.parts for v in jax.tree.leaves((p.body, p.frames))]
     mark = hashlib.sha256(b"".join([*arrays, *rest])).hexdigest()
-    progress, step_done = resumed(state, mark, len(search.sd), tell)
+    progress, step_done = resumed(state, mark, np.zeros(len(search.sd)), tell)
     return run_search(search, progress, options.iterations, step_done)

@@ -28,7 +28,7 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.solve.pulls import IcpOptions
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less than this share of the loss, plus this, is the last
-SURE = 2.0  # a size keeps its start value if it moved by less than this many spreads between parts of the recordings
+SURE = 2.0  # a size is the usual one if it differs by less than this many spreads between parts of the recordings
 FEW_MORE = 4  # further steps while some sizes are held
 SPLITS = 4  # parts of a recording, left out in turn for the spread of the sizes
 KNOWN = 0.1  # least share of the data in the information on a size, of data and prior

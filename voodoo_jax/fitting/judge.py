@@ -68,13 +68,13 @@ def weakly_determined(
     prior: Float64[np.ndarray, " all"],
     apart: Float64[np.ndarray, " all"],
 ) -> Bool[np.ndarray, " all"]:
-    """Which sizes the recordings do not determine: they keep their start values.
+    """Which sizes the recordings do not determine: they stay where the priors are centred.
 
-    Bands and settings never keep theirs: they have no true value that the start could be close to. The priors limit
+    Bands and settings are never among them: they have no true value that the start could be close to. The priors limit
     them, and tracking with them judges them.
 
-    **Arguments:** `x` the fitted values; `sd` their standard deviations; `prior` those of the priors; `apart` standard
-    deviations between parts of the recordings.
+    **Arguments:** `x` the fitted values less the priors' centres; `sd` their standard deviations; `prior` those of the
+    priors; `apart` standard deviations between parts of the recordings.
     """
     return is_size(names) & (undetermined(sd, prior) | (np.abs(x) < SURE * apart))
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Float64
 
 from voodoo_jax.geometry.rigid import matrix, on_device, on_host, quat_exp, rotate, unrotate
 from voodoo_jax.kernels.correspondences import Points
-from voodoo_jax.model.body import Body, Topology, scaled, with_rest_from_joints, without_side
+from voodoo_jax.model.body import Body, Topology, scaled, with_proportions, with_rest_from_joints, without_side
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.solve.pulls import IcpOptions
 from voodoo_jax.solve.scan import TrackOptions
@@ -218,9 +218,14 @@ def _is_person(body: Body) -> bool:
     return body.scale_name == "stature" and limbs == list(_load_people().topology.limbs)
 
 
-def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
+def usual_lengths(
+    body: Body, free: Parameters, longer: Mapping[str, float] | None = None
+) -> Float64[np.ndarray, " free"]:
     """Centres of the priors of a body's parameters: its own sizes, but for a person the usual lengths of people of that
-    stature, so that a wrong body file does not affect them."""
+    stature, so that a wrong body file does not affect them.
+
+    **Arguments:** `longer` by limb without side, factors on the usual lengths that were measured.
+    """
     centre = np.zeros(len(free.names))
     if _is_person(body):
         own, people = on_host(body), _load_people()
@@ -228,6 +233,7 @@ def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
         share = np.zeros(body.limb_count)
         usual, has = (np.asarray(b.sizes)[:, 4] / float(b.scale) for b in (people, own))
         share[there] = np.log(usual / has[there])
+        share += [np.log((longer or {}).get(without_side(limb), 1.0)) for limb in body.topology.limbs]
         of_limb, one = np.asarray(free.maps[1]), ~is_mode(free.names)
         centre[one] = ((of_limb * share[:, None]).sum(0) / np.maximum(of_limb.sum(0), 1))[one]
         if not one.all():
@@ -236,6 +242,12 @@ def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
             normal = by.T @ by / PRIORS["lengths"] ** 2 + np.diag(1 / free.sd[~one] ** 2)
             centre[~one] = np.linalg.solve(normal, by.T @ left / PRIORS["lengths"] ** 2)
     return np.where(np.abs(centre) > 1e-3, centre, 0.0)  # below: rounding
+
+
+def with_lengths(body: Body, free: Parameters, x: Float64[np.ndarray, " free"]) -> Body:
+    """The body with its limbs in the lengths of a parameter vector, and its scale as before."""
+    factors = np.exp(np.asarray(free.maps[1]) @ x)
+    return with_proportions(body, dict(zip(body.topology.limbs, map(float, factors))))
 
 
 @cache

@@ -36,7 +36,9 @@ class Fit:
     sd: Float64[np.ndarray, " all"]
     spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see gauss_newton.spread
     prior_sd: Float64[np.ndarray, " all"]
-    stays: Bool[np.ndarray, " all"]  # sizes that the recordings do not determine, which kept their start values
+    stays: Bool[
+        np.ndarray, " all"
+    ]  # sizes that the recordings do not determine: a person's usual ones, or as they were
     sizes: tuple[tuple[Size, ...], ...]  # of every person: sizes as measured by tape, before and after
     losses: tuple[float, ...]
     finished: bool  # stopped by itself
@@ -55,7 +57,7 @@ class Fit:
         return report_text(self)
 
     def undetermined(self) -> list[str]:
-        """Parameters that the data do not determine; they kept their start values."""
+        """Parameters that the data do not determine: a person's lengths are usual ones, others as they were."""
         return [name for name, stays in zip(self.names, self.stays) if stays]
 
 
@@ -115,7 +117,9 @@ def report_text(fit: Fit) -> str:
         if np.isfinite(sd):
             interval = f"{unit * (x - 1.96 * sd):+.1f} .. {unit * (x + 1.96 * sd):+.1f}"
             parts, share = f"{unit * apart:.1f}", f"{100 * (1 - (sd / prior) ** 2):.0f} %"
-        rows.append([name, "stays" if stays else f"{unit * x:+.1f}", interval, f"{unit * prior:.1f}", parts, share])
+        rows.append(
+            [name, "stays" if stays and not x else f"{unit * x:+.1f}", interval, f"{unit * prior:.1f}", parts, share]
+        )
     out.append("## Parameters\n")
     out.append(
         "Changes in percent (logarithms times 100; anchors: percent of the scale), of shape in standard deviations of "
@@ -127,7 +131,10 @@ def report_text(fit: Fit) -> str:
     head = ["parameter", "change", "95 % interval", "prior's deviation", "between parts", "from the data"]
     out.append(_format_table(head, rows))
     if weak := fit.undetermined():
-        out.append(f"The data say too little about: {', '.join(weak)}. These parameters keep their start values.\n")
+        out.append(
+            f"The data say too little about: {', '.join(weak)}. These parameters keep their start values; lengths of a "
+            "person are the usual ones at the stature, or those measured between the tracked joints.\n"
+        )
     return "\n".join(out)
 
 

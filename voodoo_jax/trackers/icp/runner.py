@@ -6,15 +6,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float, Int
 
 from voodoo_jax.config.options import StartSettings
-from voodoo_jax.geometry.rigid import Poses, on_host
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.attachments import directions, hung_on, pointing
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.solve.scan import State, Step, at_rest, cost_of
+from voodoo_jax.solve.scan import State, Step
 from voodoo_jax.trackers.icp.trials import Trial, in_pieces, run_trials
 from voodoo_jax.trackers.shared.eye import Seen
 from voodoo_jax.trackers.shared.runner import FEW_POINTS, TRACKS, FrameRunner
@@ -63,15 +62,6 @@ class Runner(FrameRunner):
         frames = min(THING_FRAMES * self.settings.start.frames, self.length)
         trial = self.trials(self.body, self.people[at : at + frames], starts)
         self.body = bodies[int(np.argmin(trial.cost))]
-
-    def alone(self, body: Body, starts: Poses, at: Int[np.ndarray, " frame"]) -> Float[np.ndarray, " frame"]:
-        """What up to TRACKS frames cost, each solved for itself from poses (leading axis: frame)."""
-        chunk, features = self._padded([self.people[k] for k in at], None)
-        # as after a long time, when a pose before tells little
-        seconds = np.full_like(chunk.seconds, LONG * float(self.options.prior_interval))
-        measured, states = (chunk.points, seconds, features), at_rest(starts)
-        asked = self._asked(body, self.options, measured, np.arange(len(at)), states, sure=False, each=True)
-        return np.asarray(cost_of(on_host(self.visit(*asked)[1])))[: len(at)]
 
     def trials(self, body: Body, frames: list[BodyObservation], starts: list[Poses]) -> Trial:
         """Tracks some frames from every start pose, the last one first."""

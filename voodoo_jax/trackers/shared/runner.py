@@ -139,7 +139,7 @@ class FrameRunner:
         step = jax.tree.map(lambda x: x[used].reshape(count, len(chosen), *x.shape[1:]), step)
         return jax.tree.map(lambda x: x[:count], after), step
 
-    # 7 parameters: what the program is given, and how frames and states belong together
+    # 6 parameters: what the program is given
     def _asked(
         self,
         body: Body,
@@ -148,12 +148,11 @@ class FrameRunner:
         chosen: Int[np.ndarray, " frame"],
         states: State,
         sure: bool = True,
-        each: bool = False,
     ) -> tuple:
-        """Arguments of track_visits, always of the same shapes. `each`: a frame for each state, not all for all."""
+        """Arguments of track_visits, always of the same shapes."""
         count = len(states.seen)
         frame, track = np.zeros(self.length, np.int32), np.full(self.length, NOBODY, np.int32)
-        frames, tracks = np.tile(chosen, 1 if each else count), np.repeat(np.arange(count), 1 if each else len(chosen))
+        frames, tracks = np.tile(chosen, count), np.repeat(np.arange(count), len(chosen))
         frame[: len(frames)], track[: len(tracks)] = frames, tracks
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[:1], TRACKS - count, 0)]), on_host(states))
         points, seconds, features = measured

@@ -1,16 +1,14 @@
-"""Tracks a recording again with a larger stature if frames from the whole recording support it. Host side.
+"""Tracks a recording again with a larger stature if the person is seen to stand taller later. Host side.
 
 The start measures stature by the top of the body: within 0.4 cm for a standing person, but too small by any amount for
-a bent one. In frames in which the tracked body stands upright on its feet, the top is measured again. Where there are
-none, frames from the whole recording are solved again in larger sizes, each frame separately, and their costs are
-compared: in a body of the wrong size the points are farther from the surface.
+a bent one. In frames in which the tracked body stands upright on its feet, the top is measured again.
 """
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.geometry.rotations import limb_ends
@@ -22,11 +20,7 @@ from voodoo_jax.trackers.icp.body_size import tops
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.sequence import Whole
 from voodoo_jax.trackers.icp.stage import Stage
-from voodoo_jax.trackers.shared.runner import TRACKS
 
-# logarithm: the cheapest body is larger than the person by this; measured in 19 tracks of simulated people
-# (experiments/people) with the right stature at the start, deviation 0.010
-LARGER = 0.003
 # A body stands if it has at least this share of its height in the rest pose, and its lowest point is at most this far,
 # metres, above that point's lowest tenth. Least logarithm of a larger stature, and fewest frames. Measured in 39 tracks
 # of simulated people who bend, walk or jump at first (experiments/people): the stature that is found in 35 of them is
@@ -69,17 +63,14 @@ def reach(
 class FitStature:
     """Further passes with the stature measured in frames of the previous pass, for a person of unknown stature.
 
-    Of the frames that are solved in larger sizes, half come first, and all of them only if these support a larger size.
-    Poses found in a wrong size hide part of the error: so there may be two passes. Numbers were chosen by hand."""
+    Nothing else tells it: of people who sit all the time, sizes of least cost were off by three times as much as those
+    of the start (20 and 8 cm, experiments/people)."""
 
     name: ClassVar = "fit_stature"
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"points", "one body"})
 
     among: tuple[Stage, ...] = ()  # stages of every segment
-    step: float = 0.03  # logarithm of one size that is tried over the one before
-    most: int = 6  # steps
-    gain: float = 0.04  # logarithm of the body's cost over that of a larger one, from which on that is believed
     passes: int = 2
 
     def __call__(self, whole: Whole) -> Whole:
@@ -87,42 +78,9 @@ class FitStature:
         if run.known or run.settings.start.scale > 0 or run.body.scale_name != "stature" or len(run.bodies) > 1:
             return whole
         for _ in range(self.passes):
-            body, larger = whole.run.body, self.larger_by(whole.run, whole.segment)
-            if not larger:
+            run = whole.run
+            stands = standing_height(run, whole.segment) / float(run.body.scale)
+            if not np.log(stands) > BELIEVED:  # also where it never stands
                 break
-            whole = whole.tracked_anew(self.among, body=scaled(body, float(body.scale) * float(np.exp(larger))))
+            whole = whole.tracked_anew(self.among, body=scaled(run.body, float(run.body.scale) * stands))
         return whole
-
-    def larger_by(self, run: Runner, segment: Segment) -> float:
-        """Logarithm of the person's size over the body's; 0 where a larger size is not well supported."""
-        stands = float(np.log(standing_height(run, segment) / float(run.body.scale)))
-        if np.isfinite(stands):  # costs would also make a body larger whose legs alone are too short
-            return stands if stands > BELIEVED else 0.0
-        tracked, found = np.flatnonzero(segment.tracked), 0.0
-        at = tracked[spread(len(tracked), TRACKS)]
-        for some in filter(len, (at[::2], at)):
-            found, gain = self.cheapest(run, segment, some)
-            if gain < self.gain:
-                return 0.0
-        return found - LARGER
-
-    def cheapest(self, run: Runner, segment: Segment, at: Int[np.ndarray, " frame"]) -> tuple[float, float]:
-        """Logarithms of the size of least cost over the body's, and of the body's cost over the least cost, in some
-        frames. Sizes grow until the cost rises; then the minimum of a parabola through the last three. 0 if the first
-        larger size costs more."""
-        cost = [self.cost(run, segment, at, steps) for steps in range(2)]
-        while cost[-1] < cost[-2] and len(cost) <= self.most:
-            cost.append(self.cost(run, segment, at, len(cost)))
-        best, gain = int(np.argmin(cost)), cost[0] - min(cost)
-        if not 0 < best < len(cost) - 1:
-            return self.step * best, gain
-        before, least, after = cost[best - 1 : best + 2]
-        return self.step * (best + 0.5 * (before - after) / (before - 2 * least + after)), gain
-
-    def cost(self, run: Runner, segment: Segment, at: Int[np.ndarray, " frame"], steps: int) -> float:
-        """Logarithm of the mean cost of some frames in a body that is larger by so many steps."""
-        larger, up = np.float32(np.exp(self.step * steps)), run.scene.floor.normal
-        place = segment.translation[at]
-        foot = place[:, :1] - run.scene.floor.height(place[:, 0])[:, None, None] * up
-        starts = Poses(segment.rotation[at], (foot + larger * (place - foot)).astype(np.float32))
-        return float(np.log(np.mean(run.alone(scaled(run.body, float(run.body.scale) * float(larger)), starts, at))))
