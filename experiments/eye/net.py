@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from experiments.eye.data import CLASSES, JOINTS, PARTS
-from voodoo_jax.kernels.eye import BINS, MIDDLES, OTHER, WAVES, Params, Prediction, ahead, forward, named
+from voodoo_jax.kernels.eye import BINS, DIRECTIONS, OTHER, WAVES, Params, Prediction, ahead, forward, named
 from voodoo_jax.trackers.shared.eye import FEATURES
 
 WIDTH, DEPTH = 64, 3
@@ -62,15 +62,12 @@ def loss(p: Params, b: dict[str, Any]) -> tuple[Array, dict[str, Any]]:
     body = b["hist"][..., : len(PARTS)].sum(-1)
     guess = jnp.einsum("bt,btjk->bjk", body / (body.sum(1, keepdims=True) + 1e-6), out.votes)
     spread = (jax.lax.stop_gradient(away) / jnp.exp(out.spread) + out.spread) * share
-    way = ahead(joints)
-    length = jnp.linalg.norm(way, axis=-1)
-    near = jax.nn.softmax(8 * jnp.cos(jnp.arctan2(way[:, 1], way[:, 0])[:, None] - MIDDLES), -1)
-    sure = has * jnp.minimum(1, length / 0.15)
+    near = jax.nn.softmax(8 * ahead(joints) @ DIRECTIONS.T, -1)
     facing = -(near * jax.nn.log_softmax(out.facing)).sum(-1)
     somebody = jax.nn.softplus(out.person) - has * out.person
     every = dict(
         part=part.mean(), joint=(away * share).sum(), guess=(off(guess, goal) * share).sum(), spread=spread.sum(),
-        facing=(facing * sure).sum() / jnp.maximum(sure.sum(), 1),
+        facing=(facing * has).sum() / jnp.maximum(has.sum(), 1),
         person=(somebody * b["care"]).sum() / jnp.maximum(b["care"].sum(), 1),
     )  # fmt: skip
     whole = every["part"] + 4 * every["joint"] + 1.5 * every["guess"] + 0.1 * every["spread"]

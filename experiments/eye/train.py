@@ -25,7 +25,7 @@ from voodoo_jax.trackers.shared.eye import FEATURES, TOKENS, view, weights
 
 RATE, WARM, KEEPS = 2e-3, 8_000, 0.998  # highest rate, crops until then, of the mean of weights
 CHECKS, ENOUGH = 24, 25  # times that it is measured, points of a person that are somebody
-SHARDS = 60  # in memory, at most
+SHARDS = 130  # in memory, at most
 AGAIN = 0.5  # of the rate, from weights that are there
 UP = np.array([0, 0, 1.0])
 

@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.eye import net
@@ -9,8 +10,8 @@ from experiments.eye.data import BACKGROUND, CLASSES, JOINTS, Scene, seen
 from experiments.eye.postures import drawn
 from experiments.eye.voxels import tokens_and_labels
 from experiments.people.motions import PARENT, Clip
+from voodoo_jax.kernels.eye import DIRECTIONS, LEFT, NECK, OTHER, RIGHT, Prediction, ahead, forward, named
 from voodoo_jax.kernels.eye import JOINTS as NAMES
-from voodoo_jax.kernels.eye import LEFT, MIDDLES, OTHER, RIGHT, Prediction, forward, named
 from voodoo_jax.trackers.shared.eye import TOKENS, tokens
 
 REST = Clip(dict.fromkeys(PARENT, Rotation.identity(1)), np.zeros((1, 3)))
@@ -61,14 +62,28 @@ def test_a_step_of_learning_makes_the_loss_smaller():
     assert after < before
 
 
-def test_left_and_right_are_told_by_facing():
+@pytest.mark.parametrize("lying", [False, True])
+def test_left_and_right_are_told_by_facing(lying):
+    """Also of a person lying on the back, who faces up."""
     joints = np.zeros((len(JOINTS), 3), np.float32)
-    joints[LEFT, 1], joints[RIGHT, 1] = 0.2, -0.2  # faces +x
-    for way, left in ((0.0, 0.2), (np.pi, -0.2)):
-        facing = 4 * np.cos(MIDDLES - way)
+    joints[LEFT, 1], joints[RIGHT, 1], joints[NECK, 2] = 0.2, -0.2, 0.5  # faces +x
+    front = np.array([1.0, 0, 0])
+    if lying:
+        turn = Rotation.from_euler("y", -90, degrees=True)
+        joints, front = turn.apply(joints).astype(np.float32), turn.apply(front)
+    np.testing.assert_allclose(ahead(joints), front, atol=1e-5)
+    for sign, left in ((1, 0.2), (-1, -0.2)):
+        facing = 4 * sign * DIRECTIONS @ front
         said, odds = named(Prediction(facing, facing, joints, facing[: len(JOINTS)], facing[0], facing))  # pyright: ignore[reportArgumentType]
         assert odds > 2 and np.allclose(np.asarray(said.joints)[LEFT, 1], left)
     assert np.array_equal(OTHER[OTHER], np.arange(len(JOINTS)))
+
+
+def test_directions_are_spread_evenly():
+    """Of any direction one is near; none is alone, nor two together."""
+    np.testing.assert_allclose(np.linalg.norm(DIRECTIONS, axis=1), 1, atol=1e-12)
+    apart = np.degrees(np.arccos(np.clip(DIRECTIONS @ DIRECTIONS.T - 2 * np.eye(len(DIRECTIONS)), -1, 1)))
+    assert apart.min() > 25 and apart.min(1).max() < 45
 
 
 def test_compiled_voxels_are_those_of_the_package():

@@ -16,13 +16,16 @@ JOINTS = (
     "skullbase", "vc7", "l_shoulder", "l_elbow", "l_radiocarpal", "r_shoulder", "r_elbow", "r_radiocarpal", "l_hip",
     "l_knee", "l_talocrural", "r_hip", "r_knee", "r_talocrural",
 )  # fmt: skip
+NECK = JOINTS.index("vc7")
 LEFT, RIGHT = ([JOINTS.index(f"{side}_{name}") for name in ("shoulder", "hip")] for side in "lr")
 OTHER = np.array([JOINTS.index({"l": "r", "r": "l"}[n[0]] + n[1:] if n[1] == "_" else n) for n in JOINTS])
 # the weights hold for these alone, see experiments/eye: heads, directions of facing, highest voxel in metres
-HEADS, BINS, HIGH = 4, 16, 2.4
+HEADS, BINS, HIGH = 4, 34, 2.4
 WAVES = np.array([1.0, 2.0, 4.0, 8.0]) * np.pi / HIGH  # of positions, radians per metre, as in experiments/eye
 LAYERS = ("n", "qkv", "p", "m", "u", "ub", "d")  # weights with an axis of layers
-MIDDLES = (np.arange(BINS) + 0.5) * 2 * np.pi / BINS  # derived: of these directions, radians
+# derived: directions spread evenly over the sphere (spherical Fibonacci lattice, Gonzalez 2010)
+_Z, _YAW = 1 - (2 * np.arange(BINS) + 1) / BINS, np.arange(BINS) * np.pi * (3 - np.sqrt(5))
+DIRECTIONS = np.stack([np.sqrt(1 - _Z**2) * np.cos(_YAW), np.sqrt(1 - _Z**2) * np.sin(_YAW), _Z], -1)
 Params = Mapping[str, Any]
 
 
@@ -34,7 +37,7 @@ class Prediction(NamedTuple):
     joints: Float[Array, "joint 3"]  # metres
     spread: Float[Array, " joint"]  # logarithm of their error, metres
     person: Float[Array, ""]  # logarithm of the odds that this is a person
-    facing: Float[Array, " bin"]  # logits of directions around the vertical
+    facing: Float[Array, " bin"]  # logits of DIRECTIONS
 
 
 def forward(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"]) -> Prediction:
@@ -69,15 +72,15 @@ def _norm(x: Array, w: Array) -> Array:
 
 
 def ahead(joints: Float[Any, "*b joint 3"]) -> Any:
-    """Level direction in which the trunk of joints faces, by its sides; shorter where they are one above the other."""
-    across = joints[..., LEFT, :2].mean(-2) - joints[..., RIGHT, :2].mean(-2)
-    return jnp.stack([across[..., 1], -across[..., 0]], -1)
+    """Unit vector in which the trunk of joints faces: across its sides and its axis."""
+    across = joints[..., LEFT, :].mean(-2) - joints[..., RIGHT, :].mean(-2)
+    way = jnp.cross(across, joints[..., NECK, :] - joints[..., [LEFT[1], RIGHT[1]], :].mean(-2))
+    return way * jax.lax.rsqrt((way * way).sum(-1, keepdims=True) + 1e-9)
 
 
 def named(found: Prediction) -> tuple[Prediction, Float[Array, ""]]:
     """What it says with left and right as it faces, and the logarithm of the odds that they are so."""
-    cosine = ahead(found.joints) @ jnp.stack([jnp.cos(MIDDLES), jnp.sin(MIDDLES)])
-    front = jnp.sum(jax.nn.softmax(found.facing) * (cosine > 0))
+    front = jnp.sum(jax.nn.softmax(found.facing) * (DIRECTIONS @ ahead(found.joints) > 0))
     odds = jnp.log(front + 1e-4) - jnp.log(1 - front + 1e-4)
     order = jnp.where(odds < 0, OTHER, np.arange(len(JOINTS)))
     return found._replace(joints=found.joints[order], spread=found.spread[order]), jnp.abs(odds)

@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
@@ -37,7 +36,7 @@ class Seen(NamedTuple):
 
     joints: Float[np.ndarray, "joint 3"]  # metres, fixed frame; in the order of kernels.eye.JOINTS
     spread: Float[np.ndarray, " joint"]  # their error, metres
-    front: Float[np.ndarray, "3"]  # where the trunk faces, level, as long as the logarithm of the odds of that
+    front: Float[np.ndarray, "3"]  # where the trunk faces, as long as the logarithm of the odds of that
 
     @property
     def exchanged(self) -> "Seen":
@@ -57,11 +56,10 @@ def weights(path: Path = OWN) -> Params:
 
 @program
 def predict(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"]) -> tuple[Array, Array, Array]:
-    """Joints, logarithm of their error, level direction that they face, as long as the logarithm of the odds of that;
-    in the frame of the view."""
+    """Joints, logarithm of their error, direction in which the trunk faces, as long as the logarithm of the odds of
+    that; in the frame of the view."""
     said, odds = named(forward(p, tok, sensor))
-    way = ahead(said.joints)
-    return said.joints, said.spread, odds * way / (jnp.linalg.norm(way) + 1e-6)
+    return said.joints, said.spread, odds * ahead(said.joints)
 
 
 def prepare(body: Body) -> None:
@@ -85,7 +83,7 @@ def seen(frame: BodyObservation, floor: Plane) -> Seen | None:
         joints, spread, front = map(np.asarray, predict(weights(), tokens(at)[0], far))
         hips, looks = joints[[LEFT[1], RIGHT[1]], :2].mean(0), looks - 1
         if looks == 0 or np.linalg.norm(hips) < NEAR:
-            return Seen(joints @ turn + foot, np.exp(spread), front @ turn[:2])
+            return Seen(joints @ turn + foot, np.exp(spread), front @ turn)
         column = foot + hips @ turn[:2]
 
 
