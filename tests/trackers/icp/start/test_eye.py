@@ -66,7 +66,7 @@ def test_it_sees_the_same_wherever_up_is(somebody):
     normal = (turn @ floor.normal).astype(np.float32)
     one, other = eye.seen(frame, floor), eye.seen(moved, Plane(normal, float(floor.offset + normal @ shift)))
     assert one is not None and other is not None
-    np.testing.assert_allclose(one.joints @ turn.T + shift, other.joints, atol=0.02)
+    np.testing.assert_allclose(one.joints @ turn.T + shift, other.joints, atol=0.03)
     np.testing.assert_allclose(turn @ one.front, other.front, atol=0.3)
 
 

@@ -37,4 +37,5 @@ def test_who_does_not_stand_at_first_is_followed_back_from_where_they_do(rising)
 def test_without_a_look_ahead_the_first_frames_settle_the_size(rising):
     _, recording = rising
     settings = replace(Settings(), track=replace(Settings().track, skip=("looks_ahead",)))
-    assert float(track(human(), recording, settings).body.scale) < 1.7
+    # bent over, the person is measured too small, or is taken for a taller one who sits
+    assert abs(float(track(human(), recording, settings).body.scale) - 1.8) > 0.05
