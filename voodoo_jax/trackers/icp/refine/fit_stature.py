@@ -63,8 +63,8 @@ def reach(
 class FitStature:
     """Further passes with the stature measured in frames of the previous pass, for a person of unknown stature.
 
-    The costs of larger sizes are no measurement: statures of people who sit all the time were off by 20 cm with them, by
-    8 cm without (experiments/people)."""
+    The costs of larger sizes are no measurement: statures of people who sit all the time were off by 20 cm with them,
+    by 8 cm without (experiments/people)."""
 
     name: ClassVar = "fit_stature"
     looks_ahead: ClassVar = True
