@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from voodoo_jax.config.options import DetectSettings, StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
@@ -18,6 +19,7 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 # a start facing the other way is a rival if its cost is below this multiple of the best; by hand
 RIVAL = 1.1
+LIKELIER = 0.8  # another stance than standing, or than the previous one, must cost less than this share; by hand
 FAR_RIVAL = 3.0  # the same multiple where posture or walking also favours the rival; by hand
 OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: lowest points above the first: a jump; above the second: hidden feet
 BADLY = 2.0  # times the unexplained cost of a sure start: above it a body fits badly; by hand
@@ -59,23 +61,26 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: B
     **Arguments:** `rest` the body with another rest pose, from which trials begin.
     """
     frames = tried_on(run, at)
-    places = places_to_try(run, rest or body, frames)
+    places, seen_as = places_to_try(run, rest or body, frames)
+    likely = np.repeat([1.0, 1 / LIKELIER], [len(places), len(seen_as)])
+    places += seen_as
     if before is not None:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
-    return ahead_first(run, best_from(run, at, body, places))
+        likely = np.append(likely, 1.0)
+    return ahead_first(run, best_from(run, at, body, places, likely))
 
 
-def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> list[Poses]:
+def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> tuple[list[Poses], list[Poses]]:
     """Poses to try in the last of some frames: at rest in headings all round; with a person seen by the learned eye, in
-    fewer headings and in its pose, with left and right as it says and exchanged."""
+    fewer headings, and also in its pose, with left and right as it says and exchanged."""
     person = person_in(run, frames[-1])
     seen_as = [] if person is None else [poses_of(body, each) for each in (person, person.exchanged)]
     poses = [pose for pose in seen_as if pose is not None]
     many = run.settings.start.headings // (FEWER if poses else 1)
     front = person.front if poses and person is not None else None
-    return [*standing_places(body, frames[::-1], run.scene.floor, max(many, 1), front), *poses]
+    return standing_places(body, frames[::-1], run.scene.floor, max(many, 1), front), poses
 
 
 def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
@@ -100,17 +105,20 @@ def ahead_first(run: Runner, start: StartHypothesis) -> StartHypothesis:
     return first._replace(rival=second)
 
 
-def best_from(run: Runner, at: int, body: Body, places: list[Poses]) -> StartHypothesis:
-    """The best of trials from some poses in frame `at`."""
+def best_from(
+    run: Runner, at: int, body: Body, places: list[Poses], factor: Float[np.ndarray, " place"] | float = 1.0
+) -> StartHypothesis:
+    """The best of trials from some poses in frame `at`, each with a `factor` on its cost."""
     s, frames = run.settings.start, tried_on(run, at)
     noise = noise_of(frames)
     tried = run.trials(body, frames, places)
+    weighed = tried._replace(cost=tried.cost * factor)
     odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # a known size is never unlikely
     found = [
         StartHypothesis(
             at, body, jax.tree.map(lambda x, k=k: x[k], tried.state.poses), odds * float(tried.cost[k]), noise
         )
-        for k in opposite(body, tried, FAR_RIVAL)
+        for k in opposite(body, weighed, FAR_RIVAL)
     ]
     return found[0]._replace(rival=found[1] if len(found) > 1 else None)
 

@@ -9,7 +9,7 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
 from voodoo_jax.trackers.icp.body_size import rarity
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.start.hypothesis import BADLY, StartHypothesis, sized_at, trial
+from voodoo_jax.trackers.icp.start.hypothesis import BADLY, LIKELIER, StartHypothesis, sized_at, trial
 from voodoo_jax.trackers.icp.start.stage import Search
 from voodoo_jax.trackers.shared.confidence import STATURE
 
@@ -18,13 +18,11 @@ from voodoo_jax.trackers.shared.confidence import STATURE
 class OtherStances:
     """The best of starts in the stances of the pose library, for a body that can take them. A person in a skirt looks
     much like a sitting person who is much taller. The worse all starts fit, the less their costs mean, so a stance
-    that makes a person unusually tall must explain more. Numbers by hand, except for the distribution of stature."""
+    that makes a person unusually tall must explain more."""
 
     name: ClassVar = "other_stances"
     looks_ahead: ClassVar = False
     needs: ClassVar = frozenset({"points"})
-
-    likelier: float = 0.8  # another stance than standing, or than the previous one, must cost less than this share
 
     def __call__(self, run: Runner, search: Search) -> Search:
         # a person sitting before static objects were removed still sits after it; otherwise people stand
@@ -36,9 +34,9 @@ class OtherStances:
 
         def penalised_cost(one: tuple[StartHypothesis, Stance | None]) -> float:
             found, stance = one
-            cost = fit * float(np.log(found.cost * (self.likelier if stance is None is earlier else 1.0)))
+            cost = fit * float(np.log(found.cost * (LIKELIER if stance is None is earlier else 1.0)))
             if stance is not None and stance is earlier:  # its size was rated before
-                return cost + float(np.log(self.likelier))
+                return cost + float(np.log(LIKELIER))
             return cost + max(_penalise_tall(found.body) - _penalise_tall(search.best.body), 0.0)
 
         best, stance = min(every, key=penalised_cost)
