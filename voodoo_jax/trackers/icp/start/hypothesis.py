@@ -62,14 +62,14 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: B
     """
     frames = tried_on(run, at)
     places, seen_as = places_to_try(run, rest or body, frames)
-    likely = np.repeat([1.0, 1 / LIKELIER], [len(places), len(seen_as)])
+    factor = np.repeat([1.0, 1 / LIKELIER], [len(places), len(seen_as)])
     places += seen_as
     if before is not None:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
-        likely = np.append(likely, 1.0)
-    return ahead_first(run, best_from(run, at, body, places, likely))
+        factor = np.append(factor, 1.0)
+    return ahead_first(run, best_from(run, at, body, places, factor))
 
 
 def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> tuple[list[Poses], list[Poses]]:
