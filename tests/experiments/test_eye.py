@@ -80,7 +80,7 @@ def test_left_and_right_are_told_by_facing(lying):
 
 
 def test_directions_are_spread_evenly():
-    """Of any direction one is near; none is alone, nor two together."""
+    """Each has its nearest neighbour 25 to 45 degrees away."""
     np.testing.assert_allclose(np.linalg.norm(DIRECTIONS, axis=1), 1, atol=1e-12)
     apart = np.degrees(np.arccos(np.clip(DIRECTIONS @ DIRECTIONS.T - 2 * np.eye(len(DIRECTIONS)), -1, 1)))
     assert apart.min() > 25 and apart.min(1).max() < 45

@@ -13,7 +13,7 @@ SOURCES = (
     "paper", "doi", "horn", "experiments/", "measured", "by hand", "ieee", "jax", "opencv", "mediapipe", "float32",
     "chi2", "derived", "any gives the same",
 )  # fmt: skip
-WITHOUT = 184  # when this was first counted; moves into stages, sources and deletions lower it
+WITHOUT = 177  # when this was first counted; moves into stages, sources and deletions lower it
 
 
 def constants(path: Path) -> list[tuple[str, bool]]:

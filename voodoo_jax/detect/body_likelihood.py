@@ -13,12 +13,13 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation
 
 LONG = 1.5  # times as long as it is high: a person sitting on the floor with straight legs is shorter; by hand
-# of the body's height: length of a lying person, with knees drawn up or arms overhead, who stands is no higher; by hand
+# of the body's height: least length of a lying person, with knees drawn up; greatest one, with arms overhead, which is
+# also the greatest height of a standing one; by hand
 SHORTEST, LONGEST = 0.5, 1.35
 # of the square of the body's height: the area that is seen of it; by hand (0.05 to 0.15 in 14 simulated people, the top
 # and front of a bed have 0.3 and more)
 SMALL, LARGE = 0.03, 0.25
-LOOKED_AT = 90  # frames, evenly spread
+LOOKED_AT = 90  # frames, evenly spread; by hand
 LOOSE = 0.5  # of its height, or more: so high an animal or a machine may be as well
 SLIM = 0.6  # of its width at rest: a slimmer object is less likely the body
 TELLING = 30  # points of a person in a frame, or of a thing that may be one: fewer are not informative; by hand

@@ -14,8 +14,8 @@ from voodoo_jax.records.scene import Scene
 BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
 WIDE, FILLED = 2.0, 1.3  # metres from end to end of a wall that is seen, and of these as high as all of it, at least
 SLANTED = 0.9  # cosine: a floor that is so far from where it was thought to be is looked for once more
-# cosines: a floor is no farther than 40 degrees from where up is thought to be, nor other directions from one that they
-# are taken for; a wall, or the back of a sofa, is upright to 10; by hand
+# cosines: a floor is at most 40 degrees from where up is thought to be, and directions closer than that are taken for
+# the same; a wall, or the back of a sofa, is upright to 10 degrees; by hand
 STEEPEST, UPRIGHT = 0.77, 0.17
 COLUMN = 0.1  # metres
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside

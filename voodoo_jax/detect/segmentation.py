@@ -36,7 +36,7 @@ SPEED = 3.0  # metres per second: so fast the body may be where it was not seen 
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
-# times the points that are kept: more by a step (STEP) or so are thinned before all else, down to that; by hand
+# times the points that are kept: down to that a body is thinned first, if it has more by a step (STEP) or so; by hand
 ENOUGH = 1.5
 STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
 # a thing is a part of the body if more points of it than this share of the body's are near where the body was, or than

@@ -18,7 +18,8 @@ from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.records.observation import BodyObservation
 
 LIKE = 0.07  # metres of height by which two sights of one person may differ; by hand
-HELD = 300  # frames that wait until it is known which thing is the body, and last ones in which swaying is tested
+# frames that wait until it is known which thing is the body, and last ones in which swaying is tested; by hand
+HELD = 300
 HIDDEN = 0.02  # share of hidden points from which a person counts as partly hidden; by hand
 BLIND = 1.5  # seconds for which a hidden person is assumed to walk on; by hand
 WAY = 0.4  # seconds over which walking speed is measured; by hand

@@ -31,8 +31,8 @@ from voodoo_jax.records.scene import Scene
 FAIR = 6  # times as long another thing must have moved than the likeliest one
 LOOK = 10  # frames after which other things are looked for
 MOST = 4  # of them
-# frames: who may not wait does not take another thing for the body before; so often all that is there is looked through
-# for others; and after so many without an image the flexible tracker gives up
+# frames: online, another thing is not taken for the body before; and so often other people are looked for in all that
+# is there; by hand
 PATIENCE = 60
 # of its height: so low the body may be after all if it moves, where nothing else is like it; and so high a bed, for a
 # person sits down on it first

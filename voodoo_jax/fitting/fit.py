@@ -129,7 +129,8 @@ def searched(
 ) -> Found:
     """Runs the search alone; arguments of `fit`."""
     tell = say or (lambda what, progress: None)
-    seen = [in_usual_lengths(one, free_of(seen, settings, options), settings) for one in seen]
+    free = free_of(seen, settings, options)
+    seen = [in_usual_lengths(one, free, settings) for one in seen]
     chosen = [chosen_frames(s.tracks, _count_points(s), options.frames) for s in seen]
     search = _stiffen_bands(search_of(seen, settings, options, truths, chosen), options)
     size = len(search.sd)
@@ -203,18 +204,23 @@ def in_usual_lengths(seen: Seen, free: Parameters, settings: Settings) -> Seen:
 
 def _measured(seen: Sequence[Seen]) -> dict[str, float]:
     """How much longer a person's segments are between placed joints than in the body, factors; means of recordings."""
-    found = [
-        {name: length / segment_lengths(one.tracks.body)[name] for name, length in (one.tracks.segments or {}).items()}
-        for one in seen
-    ]
-    return {name: float(np.mean([one[name] for one in found if name in one])) for some in found for name in some}
+    found = dict[str, list[float]]()
+    for one in seen:
+        own = segment_lengths(one.tracks.body)
+        for name, length in (one.tracks.segments or {}).items():
+            found.setdefault(name, []).append(length / own[name])
+    return {name: float(np.mean(ratios)) for name, ratios in found.items()}
+
+
+def features_of(seen: Sequence[Seen], settings: Settings) -> tuple[str, ...]:
+    """Names of the features that are measured in some recordings."""
+    topology = seen[0].tracks.body.topology
+    return tuple(sorted({n for s in seen for n in feature_names(s.people, topology, settings.features)}))
 
 
 def free_of(seen: Sequence[Seen], settings: Settings, options: FitSettings) -> Parameters:
     """The free parameters of a fit."""
-    body = seen[0].tracks.body
-    names = {n for s in seen for n in feature_names(s.people, body.topology, settings.features)}
-    return parameters(body, options.free, tuple(sorted(names)), options.mirrored)
+    return parameters(seen[0].tracks.body, options.free, features_of(seen, settings), options.mirrored)
 
 
 def search_of(
@@ -227,8 +233,7 @@ def search_of(
     """Sets up the search from recordings `in_usual_lengths`: free parameters, priors, and the `chosen` frames of each
     recording, or well tracked ones."""
     chosen = chosen or [chosen_frames(s.tracks, _count_points(s), options.frames) for s in seen]
-    body, free = seen[0].tracks.body, free_of(seen, settings, options)
-    names = tuple(sorted({n for s in seen for n in feature_names(s.people, body.topology, settings.features)}))
+    names, free = features_of(seen, settings), free_of(seen, settings, options)
     persons = [0 if options.persons == "one" else k for k in range(len(seen))]
     scales = [np.median([float(s.tracks.body.scale) for s, p in zip(seen, persons) if p == k]) for k in set(persons)]
     parts = []

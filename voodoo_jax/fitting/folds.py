@@ -14,11 +14,10 @@ import numpy as np
 
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fitting.fit import SHARED, Found, Seen, TruthLike, fit_of, searched, track_again
-from voodoo_jax.fitting.frames import feature_names, read_truth
+from voodoo_jax.fitting.fit import SHARED, Found, Seen, TruthLike, fit_of, free_of, searched, track_again
+from voodoo_jax.fitting.frames import read_truth
 from voodoo_jax.fitting.gauss_newton import FitError
 from voodoo_jax.fitting.judge import Judged, judged_by, verdict_on
-from voodoo_jax.fitting.parameters import parameters
 from voodoo_jax.fitting.result import Fit
 from voodoo_jax.model.body import Body
 
@@ -69,8 +68,7 @@ def fit_folds(
     """
     own = replace(options, folds=0, persons="each", looseness=options.looseness * WIDER)
     start = seen[0].given or seen[0].tracks.body
-    measured = {n for s in seen for n in feature_names(s.people, start.topology, settings.features)}
-    check_common(parameters(start, options.free, tuple(sorted(measured))).names)
+    check_common(free_of(seen, settings, options).names)
     judged: list[Judged] = []
     for fold in folds_of(len(seen), options.folds):
         rest = [k for k in range(len(seen)) if k not in fold]

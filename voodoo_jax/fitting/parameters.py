@@ -224,7 +224,7 @@ def usual_lengths(
     """Centres of the priors of a body's parameters: its own sizes, but for a person the usual lengths of people of that
     stature, so that a wrong body file does not affect them.
 
-    **Arguments:** `longer` by limb without side, factors on the usual lengths that were measured.
+    **Arguments:** `longer` measured lengths over the usual ones, by limb without side.
     """
     centre = np.zeros(len(free.names))
     if _is_person(body):
@@ -245,7 +245,7 @@ def usual_lengths(
 
 
 def with_lengths(body: Body, free: Parameters, x: Float64[np.ndarray, " free"]) -> Body:
-    """The body with its limbs in the lengths of a parameter vector, and its scale as before."""
+    """The body with its limbs as long as a parameter vector makes them, and its scale as before."""
     factors = np.exp(np.asarray(free.maps[1]) @ x)
     return with_proportions(body, dict(zip(body.topology.limbs, map(float, factors))))
 

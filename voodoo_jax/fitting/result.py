@@ -36,9 +36,8 @@ class Fit:
     sd: Float64[np.ndarray, " all"]
     spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see gauss_newton.spread
     prior_sd: Float64[np.ndarray, " all"]
-    stays: Bool[
-        np.ndarray, " all"
-    ]  # sizes that the recordings do not determine: a person's usual ones, or as they were
+    # sizes that the recordings do not determine: a person's usual ones, or as they were
+    stays: Bool[np.ndarray, " all"]
     sizes: tuple[tuple[Size, ...], ...]  # of every person: sizes as measured by tape, before and after
     losses: tuple[float, ...]
     finished: bool  # stopped by itself

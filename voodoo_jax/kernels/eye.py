@@ -23,7 +23,8 @@ OTHER = np.array([JOINTS.index({"l": "r", "r": "l"}[n[0]] + n[1:] if n[1] == "_"
 HEADS, BINS, HIGH = 4, 34, 2.4
 WAVES = np.array([1.0, 2.0, 4.0, 8.0]) * np.pi / HIGH  # of positions, radians per metre, as in experiments/eye
 LAYERS = ("n", "qkv", "p", "m", "u", "ub", "d")  # weights with an axis of layers
-# derived: directions spread evenly over the sphere (spherical Fibonacci lattice, Gonzalez 2010)
+# derived: directions spread evenly over the sphere (Fibonacci lattice, Gonzalez 2010,
+# doi 10.1007/s11004-009-9257-x)
 _Z, _YAW = 1 - (2 * np.arange(BINS) + 1) / BINS, np.arange(BINS) * np.pi * (3 - np.sqrt(5))
 DIRECTIONS = np.stack([np.sqrt(1 - _Z**2) * np.cos(_YAW), np.sqrt(1 - _Z**2) * np.sin(_YAW), _Z], -1)
 Params = Mapping[str, Any]
@@ -72,7 +73,7 @@ def _norm(x: Array, w: Array) -> Array:
 
 
 def ahead(joints: Float[Any, "*b joint 3"]) -> Any:
-    """Unit vector in which the trunk of joints faces: across its sides and its axis."""
+    """Unit vector in which the trunk faces: the normal of its axis and of the line between its sides."""
     across = joints[..., LEFT, :].mean(-2) - joints[..., RIGHT, :].mean(-2)
     way = jnp.cross(across, joints[..., NECK, :] - joints[..., [LEFT[1], RIGHT[1]], :].mean(-2))
     return way * jax.lax.rsqrt((way * way).sum(-1, keepdims=True) + 1e-9)

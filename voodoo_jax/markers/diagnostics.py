@@ -16,7 +16,7 @@ from voodoo_jax.records.notes import remark
 from voodoo_jax.records.stretches import stretches
 
 GAP = 0.2  # seconds: a marker that is away for longer is named
-SHOWN = 3  # notes of one kind that are listed one by one, gaps of one marker, and names in a note on many
+SHOWN = 3  # notes of one kind that are listed one by one, gaps of one marker, and names in a note on many; by hand
 HINT = 0.06  # set by hand, metres: so near to a point of the body a marker may be the one that belongs there
 HINTED = 0.3  # set by hand: share of the frames in which a marker must be seen to say where it sits
 USUAL = "Plug-in Gait"  # the set that needs no note

@@ -27,11 +27,13 @@ from voodoo_jax.model.marker_sets import (
 
 SCALE, ACROSS, ALONG = 0.5, 0.1, 0.06  # usual deviations (logarithms) of the scale, a limb's thickness and its length
 MIRRORED = 0.02  # between left and right limbs
-JOINT = 0.005  # metres: a joint's place on its limb, and its centre at a key point that stands for it
+JOINT = 0.005  # metres: a joint's place on its limb, and its centre at a key point that stands for it; by hand
 GIRDLE = 0.03  # metres: a joint that rides on a girdle of its own, as the shoulder does
-CENTRE = 0.004  # metres: a joint's centre by the hips' regression, or midway between markers on both of its sides
+# metres: a joint's centre by the hips' regression, or midway between markers on both of its sides; by hand
+CENTRE = 0.004
 NEAR_SPINES = 0.015  # set by hand: metres: the same by markers that are only near the pelvis' spines
-NOISE = 0.01  # metres: how far a marker moves on its limb with skin and muscle, and so what lies midway between two
+# metres: how far a marker moves on its limb with skin and muscle, and so a place midway between two; by hand
+NOISE = 0.01
 LOOSE = 0.04  # set by hand: metres: a marker that may lie off its place by so much is first looked for
 ON_LIMB = (0.08, 0.08, 0.15)  # set by hand: metres along the limb's axes: a marker of which only the limb is known
 SPINES = (("l_asis",), ("r_asis",), ("l_psis", "mid_psis"), ("r_psis", "mid_psis"))

@@ -25,7 +25,8 @@ LEAST = 5  # names of a set that must be there for it to be believed
 SHARE = 0.15  # of the names: a second set explains at least so many, or is chance
 SUBJECT = 6  # names with one prefix that make a subject of their own
 REORDERED = 3  # words of a name beside its side that are tried in other orders; by hand
-ALIKE = 0.5  # share of the names that two subjects have in common, and of a set's numbers that are there at least
+# share of the names that two subjects have in common, and of a set's numbers that are there at least; by hand
+ALIKE = 0.5
 _SIDES = {"l": "l", "left": "l", "r": "r", "right": "r"}
 _NO_MEANING = {"study", "marker", "mkr", "static", "kp", "keypoint"}
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z][a-z]*|[a-z]+|\d+")

@@ -71,7 +71,7 @@ class FitStature:
     needs: ClassVar = frozenset({"points", "one body"})
 
     among: tuple[Stage, ...] = ()  # stages of every segment
-    passes: int = 2
+    passes: int = 2  # poses found in a wrong size hide a part of the error; by hand
 
     def __call__(self, whole: Whole) -> Whole:
         run = whole.run

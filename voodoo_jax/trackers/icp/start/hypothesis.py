@@ -61,26 +61,26 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: B
     **Arguments:** `rest` the body with another rest pose, from which trials begin.
     """
     frames = tried_on(run, at)
-    places, seen_as = places_to_try(run, rest or body, frames)
-    factor = np.repeat([1.0, 1 / LIKELIER], [len(places), len(seen_as)])
-    places += seen_as
+    places, factors = places_to_try(run, rest or body, frames)
     if before is not None:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
-        factor = np.append(factor, 1.0)
-    return ahead_first(run, best_from(run, at, body, places, factor))
+        factors.append(1.0)
+    return ahead_first(run, best_from(run, at, body, places, np.array(factors)))
 
 
-def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> tuple[list[Poses], list[Poses]]:
+def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> tuple[list[Poses], list[float]]:
     """Poses to try in the last of some frames: at rest in headings all round; with a person seen by the learned eye, in
-    fewer headings, and also in its pose, with left and right as it says and exchanged."""
+    fewer headings, and also in its pose, with left and right as it says and exchanged. And factors on their costs: the
+    eye's pose is another stance than standing, see LIKELIER."""
     person = person_in(run, frames[-1])
     seen_as = [] if person is None else [poses_of(body, each) for each in (person, person.exchanged)]
     poses = [pose for pose in seen_as if pose is not None]
     many = run.settings.start.headings // (FEWER if poses else 1)
     front = person.front if poses and person is not None else None
-    return standing_places(body, frames[::-1], run.scene.floor, max(many, 1), front), poses
+    rest = standing_places(body, frames[::-1], run.scene.floor, max(many, 1), front)
+    return [*rest, *poses], [1.0] * len(rest) + [1 / LIKELIER] * len(poses)
 
 
 def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
@@ -106,13 +106,13 @@ def ahead_first(run: Runner, start: StartHypothesis) -> StartHypothesis:
 
 
 def best_from(
-    run: Runner, at: int, body: Body, places: list[Poses], factor: Float[np.ndarray, " place"] | float = 1.0
+    run: Runner, at: int, body: Body, places: list[Poses], factors: Float[np.ndarray, " place"] | float = 1.0
 ) -> StartHypothesis:
-    """The best of trials from some poses in frame `at`, each with a `factor` on its cost."""
+    """The best of trials from some poses in frame `at`, chosen by costs times `factors`."""
     s, frames = run.settings.start, tried_on(run, at)
     noise = noise_of(frames)
     tried = run.trials(body, frames, places)
-    weighed = tried._replace(cost=tried.cost * factor)
+    weighed = tried._replace(cost=tried.cost * factors)
     odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # a known size is never unlikely
     found = [
         StartHypothesis(
