@@ -92,10 +92,10 @@ INGREDIENTS = (
     _knoop("rays: the closest point on the line", "5.2", "kernels/landmarks.py", "along = jnp.sum(d * (world - features.origin), -1, keepdims=True)", "along = 0.0 * jnp.sum(d * (world - features.origin), -1, keepdims=True)", NAMED),
     _knoop("features are named points of the body", "4", "config/options.py", '"face=sellion",', '"face=skull_vertex",', "test_features_are_named_points_of_the_body"),
     _knoop("measurements weigh by their sensor", "6", "kernels/correspondences.py", "jnp.where(keep, robust * weight, 0.0)", "jnp.where(keep, robust, 0.0)", "test_a_measurement_that_weighs_three_counts_as_three"),
-    _knoop("depth 1, face 30, hands 20", "7", "config/presets.py", '"face=30"', '"face=3"', "test_the_papers_numbers"),
+    _knoop("depth 1, face 30, hands 20", "7", "config/preset_files/knoop2007.toml", '"face=30"', '"face=3"', "test_the_papers_numbers"),
     _knoop("best translation", "3.2", "kernels/eigen.py", "data - rotate(q, model))", "data - model)", BEST),
     _knoop("best rotation by quaternions", "3.2", "kernels/eigen.py", "q = quat_normalize(q * jnp.where(q[0] >= 0, 1.0, -1.0))", "q = jnp.array([1.0, 0, 0, 0], k.dtype) + 0.0 * q", BEST),
-    _knoop("limbs are solved each by itself", "5.2", "config/presets.py", 'solver="per_limb"', 'solver="coupled"', "test_the_papers_numbers"),
+    _knoop("limbs are solved each by itself", "5.2", "config/preset_files/knoop2007.toml", 'solver = "per_limb"', 'solver = "coupled"', "test_the_papers_numbers"),
     _knoop("it stops where the measure rests", "3.2", "solve/frame.py", "            return jnp.abs(fallen) < options.epsilon\n", "            return jnp.abs(fallen) < 0.0\n", UNTIL),
     _knoop("at most so many steps", "5.2", "solve/frame.py", "return ~state.rest & (state.steps < options.max_steps)", "return ~state.rest & (state.steps < 50)", UNTIL),
     _knoop("a frame begins where the last one ended", "5.2", "solve/scan.py", "translation = state.poses.translation + gone", "translation = body.rest.translation + gone", "test_a_frame_begins_where_the_last_one_ended"),
@@ -130,7 +130,7 @@ INGREDIENTS = (
     _hecht("moving edges score more", "III-B", "image_features.py", "gradient * (0.5 + 0.5 * near)", "gradient", EDGES),
     _hecht("a blurred image of motion", "III-A", "image_features.py", "return edge, np.clip(motion * 255, 0, 255).astype(np.uint8)", "return edge, np.zeros_like(motion).astype(np.uint8)", EDGES),
     _hecht("particles are drawn by their weights", "III", "scores.py", "total = jnp.cumsum(weights)\n    places", "total = jnp.cumsum(jnp.ones_like(weights))\n    places", "test_particles_are_drawn_by_their_weights"),
-    Ingredient("200 particles of a limb, 100 of the head", "2009, IV-A", "config/presets.py", "particles=200, head_particles=100", "particles=50, head_particles=100", f"{HECHT}::test_the_papers_numbers"),
+    Ingredient("200 particles of a limb, 100 of the head", "2009, IV-A", "config/preset_files/hecht2009.toml", "\nparticles = 200", "\nparticles = 50", f"{HECHT}::test_the_papers_numbers"),
 )  # fmt: skip
 
 
