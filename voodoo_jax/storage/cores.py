@@ -4,60 +4,30 @@ the next items of a stream in another thread."""
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from pathlib import Path
-from queue import Full, Queue
-from threading import Event, Thread
-from typing import NamedTuple, TypeVar
+from threading import Thread
+from typing import TypeVar, cast
 
-Item = TypeVar("Item")
-PATIENCE = 0.2  # seconds after which the other thread looks whether anybody still waits for it
 T = TypeVar("T")
 R = TypeVar("R")
 
 
-class _End(NamedTuple):
-    """Nothing comes any more."""
-
-    error: BaseException | None  # because of this
-
-
-def ahead(items: Iterable[Item], count: int) -> Iterator[Item]:
+def ahead(items: Iterable[T], count: int) -> Iterator[T]:
     """The same items in the same order, up to `count` of them computed in advance, in a separate thread (NumPy, OpenCV
     and decompression release the GIL). Exceptions are raised at their item. The thread ends with the iteration; it has
     the same limits as the caller."""
-    made: Queue[Item | _End] = Queue(count)
-    stopped = Event()
-
-    def put(item: Item | _End) -> bool:
-        while not stopped.is_set():
-            try:
-                made.put(item, timeout=PATIENCE)
-                return True
-            except Full:
-                continue
-        return False
-
-    def make() -> None:
-        error: BaseException | None = None
-        try:
-            for item in items:
-                if not put(item):
-                    break
-        except BaseException as problem:  # for who asks
-            error = problem
-        put(_End(error))
-
-    thread = Thread(target=copy_context().run, args=(make,), daemon=True)
-    thread.start()
+    source, end, context = iter(items), object(), copy_context()
+    pool = ThreadPoolExecutor(1)
+    begin = lambda: pool.submit(context.run, next, source, end)  # noqa: E731
+    made = deque(begin() for _ in range(count + 1))  # one is in hand
     try:
-        while not isinstance(item := made.get(), _End):
-            yield item
-        if item.error is not None:
-            raise item.error
+        while (item := made.popleft().result()) is not end:
+            made.append(begin())
+            yield cast(T, item)
     finally:
-        stopped.set()
-        thread.join()
+        pool.shutdown(cancel_futures=True)
 
 
 def at_once(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
