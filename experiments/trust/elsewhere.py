@@ -32,6 +32,7 @@ from voodoo_jax.trackers.shared.confidence import (
     MISFITS,
     SURELY,
     THERE_AND_BACK,
+    averages_of,
     clues,
     ill_fit,
     misfits,
@@ -104,7 +105,7 @@ def told_of(kind: str, tracks: vj.Tracks, use: np.ndarray, columns: list[int], c
     """
     draw = np.random.default_rng(0).permutation(len(use))[:FRAMES]
     use, close = use[draw], close[draw]
-    fit = misfits(tracks)
+    fit = misfits(tracks, averages_of(tracks))
     ill = np.repeat(ill_fit(fit)[use][:, None], len(columns), 1)
     clue, misfit, odds = clues(tracks)[use][:, columns], fit[use][:, columns] - NOTHING, facing(tracks)[use][:, columns]
     good = np.isfinite(clue).all(-1) & np.isfinite(misfit).all(-1)

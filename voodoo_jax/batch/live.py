@@ -131,7 +131,8 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
                 f"'{source.path}' has only named points or rays, but live tracking needs depth; use replay"
             )
         say(f"{', '.join(reader.sensors)}: in '{reader.fixed_frame}'. Programs are loaded, or compiled once ...")
-        first = _examples(reader), _nowhere(), bool(reader.features)
+        nowhere = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
+        first = _examples(reader), nowhere, bool(reader.features)
         tracker = (
             LiveFlexible(body, settings, source.path) if settings.tracker == "flexible"
             else LiveBoth(body, settings, source.path, *first) if settings.tracker == "both"
@@ -189,11 +190,6 @@ def _written(job: LiveJob, tracks: Tracks) -> Outcome:
     write_tracks_npz(tracks, npz, "")
     remove_others(str(npz), 1)
     return outcome_of(job.place, str(npz), tracks)
-
-
-def _nowhere() -> Scene:
-    """A scene before the first frame."""
-    return Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
 
 
 def _examples(reader: LogReader) -> list[BodyObservation]:

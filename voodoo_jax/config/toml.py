@@ -277,7 +277,6 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "flexible.layers": (1, 10),
     "flexible.velocity": (0, 1),
     "flexible.depth_share": (0, 1),
-    "flexible.restart": (0, 0.9),
     "flexible.relaxations": (1, 100),
     "flexible.refine": (0, 100),
     "flexible.follow_level": (0, 1),

@@ -84,8 +84,9 @@ def _document(tracks: Tracks, style: Style | None) -> tuple[dict, bytes]:
         "inverseBindMatrices": buffer.add(binds.transpose(0, 2, 1).reshape(count, 16).astype(f32)),  # column by column
     }
     primitives, materials = _primitives(tracks, bones, buffer)
+    extras = {"units": "metres", "axes": "y up, z forwards", "source": Path(tracks.source).name}
     document = {
-        "asset": {"version": "2.0", "generator": "voodoo_jax", "extras": _extras(tracks)},
+        "asset": {"version": "2.0", "generator": "voodoo_jax", "extras": extras},
         "scene": 0,
         "scenes": [{"name": Path(tracks.source).stem, "nodes": [0, count]}],
         "nodes": nodes,
@@ -101,10 +102,6 @@ def _document(tracks: Tracks, style: Style | None) -> tuple[dict, bytes]:
         "buffers": [{"byteLength": len(buffer.data)}],
     }
     return document, bytes(buffer.data)
-
-
-def _extras(tracks: Tracks) -> dict:
-    return {"units": "metres", "axes": "y up, z forwards", "source": Path(tracks.source).name}
 
 
 def _primitives(tracks: Tracks, bones: Skeleton, buffer: _Buffer) -> tuple[list[dict], list[dict]]:

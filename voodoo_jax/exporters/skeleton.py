@@ -20,6 +20,7 @@ from voodoo_jax.exporters.limb_shapes import loft, profile, side_of
 from voodoo_jax.geometry.rotations import rotations, shortest_turns
 from voodoo_jax.model.body import Body, tree_order
 from voodoo_jax.model.joint_names import row_of
+from voodoo_jax.model.pose_library import beyond
 from voodoo_jax.records.tracks import Tracks
 
 SIDES = ("middle", "left", "right")
@@ -150,19 +151,10 @@ def bind_pose(body: Body, raised: float = 90.0) -> tuple[Rotation, Float[np.ndar
         parent = t.parents[joint]
         at = turns[parent] @ np.asarray(body.parent_anchor.translation, float)[joint] + place[parent]
         lift = Rotation.from_euler("x", sign * raised, degrees=True).as_matrix()
-        for limb in _subtree(body, t.children[joint]):
+        for limb in beyond(body, joint):
             turns[limb] = lift @ turns[limb]
             place[limb] = lift @ (place[limb] - at) + at
     return Rotation.from_matrix(turns), place
-
-
-def _subtree(body: Body, limb: int) -> list[int]:
-    t = body.topology
-    found = [limb]
-    for j in tree_order(t):
-        if t.parents[j] in found:
-            found.append(t.children[j])
-    return found
 
 
 def _bones(body: Body, names: list[str]) -> list[_Bone]:

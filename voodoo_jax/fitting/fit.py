@@ -88,13 +88,12 @@ def fit_tracked(
         ]
     else:
         stiff = 1.0 if truths or _bands_free(search) else JUDGED
+        stiffer = [
+            replace(some, solve=replace(some.solve, ratio=some.solve.ratio * stiff)) for some in (settings, tuned)
+        ]
         pairs = [
-            [
-                track_again(one, body, _with_stiffer_bands(some, stiff)).tracks
-                for body, some in ((p.body, settings), (new, tuned))
-            ]
+            [track_again(one, body, some).tracks for body, some in zip((p.body, search.body(x, p)), stiffer)]
             for one, p in zip(seen, search.parts)
-            for new in [search.body(x, p)]
         ]
         judged = [judged_by(was, now, p.person, t) for (was, now), p, t in zip(pairs, search.parts, known)]
     sizes, usual = is_size(entry_names(search)) & (x != 0), search.sd / options.looseness
@@ -166,10 +165,6 @@ def _stiffen_bands(search: Search, options: FitSettings) -> Search:
 
 def _bands_free(search: BaseSearch) -> bool:
     return any(n.startswith(("bands.", "solve.")) for n in search.free.names)
-
-
-def _with_stiffer_bands(settings: Settings, times: float) -> Settings:
-    return replace(settings, solve=replace(settings.solve, ratio=settings.solve.ratio * times))
 
 
 def _count_points(seen: Seen) -> Int[np.ndarray, " frame"]:

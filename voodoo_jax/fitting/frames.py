@@ -7,7 +7,6 @@ import os
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int, Int64
@@ -142,13 +141,15 @@ def fit_frames(
     numbered = FeatureNames(tracks.body.topology, features)
     for row, name in enumerate(names, 1):
         numbered.weights[numbered.plain(name)] = float(row)
-    rows = pad_features([_drop_weights(f) for f in solve], count, room, numbered, choices)
+    alike = [replace(f, rays=replace(f.rays, weights=None), pairs=replace(f.pairs, weights=None)) for f in solve]
+    rows = pad_features(alike, count, room, numbered, choices)
     known = None
     if truth is not None:
         known = truth_at(truth, [people[i].time_ns for i in at], tracks.body.topology, count)
         known[: len(at)] -= placed_by(tracks, at)
     origins = np.stack([people[i].origins.mean(0) for i in at])
-    poses = _pad(Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at])), count)
+    padded = lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], count - len(x), 0)])  # noqa: E731  by the last frame
+    poses = Poses(padded(jnp.asarray(tracks.rotation[at])), padded(jnp.asarray(tracks.translation[at])))
     return FitFrames(
         points=pad_frames(solve, capacity, count, None, sensors).points,
         held=pad_frames(judge, capacity, count, None, sensors).points,
@@ -211,12 +212,3 @@ def truth_at(truth: Truth, stamps: list[int], topology: Topology, count: int) ->
     if not np.isfinite(out).any():
         raise TruthError("the truth has no joint of this body at the times of the log: is it the truth of this log?")
     return out
-
-
-def _pad(poses: Poses, count: int) -> Poses:
-    """Poses padded to `count` frames by the last one."""
-    return jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], count - len(x), 0)]), poses)
-
-
-def _drop_weights(frame: BodyObservation) -> BodyObservation:
-    return replace(frame, rays=replace(frame.rays, weights=None), pairs=replace(frame.pairs, weights=None))

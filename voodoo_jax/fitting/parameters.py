@@ -192,11 +192,6 @@ def _list_shapes(t: Topology, features: int, sensors: int) -> list[tuple[int, ..
     ]  # fmt: skip
 
 
-def is_mode(names: tuple[str, ...]) -> Bool[np.ndarray, " free"]:
-    """Which parameters are modes of shape, in standard deviations."""
-    return np.array([name.startswith("shape.") for name in names], bool)
-
-
 def segment_limbs(topology: Topology) -> list[str]:
     """The limbs whose lengths are reported: those that span a whole segment."""
     ends = dict(zip(topology.joints, zip(topology.parents, topology.children)))
@@ -234,7 +229,7 @@ def usual_lengths(
         usual, has = (np.asarray(b.sizes)[:, 4] / float(b.scale) for b in (people, own))
         share[there] = np.log(usual / has[there])
         share += [np.log((longer or {}).get(without_side(limb), 1.0)) for limb in body.topology.limbs]
-        of_limb, one = np.asarray(free.maps[1]), ~is_mode(free.names)
+        of_limb, one = np.asarray(free.maps[1]), np.array([not name.startswith("shape.") for name in free.names], bool)
         centre[one] = ((of_limb * share[:, None]).sum(0) / np.maximum(of_limb.sum(0), 1))[one]
         if not one.all():
             # the modes closest to these lengths, limited by their own priors
@@ -294,7 +289,9 @@ def changed(body: Body, by: Changes) -> Body:
     axes, weights = body.axes * jnp.exp(by.axes), body.weights * jnp.exp(by.weights)
     new = eqx.tree_at(leaves, body, (sizes, on_parent, on_child, axes, weights, centres, sites))
     grown = scaled(with_rest_from_joints(new), body.scale * jnp.exp(by.scale))
-    return named_by_height(grown, body)
+    # its scale in proportion to its height, as for people or as before, since limbs may have grown: else a start that
+    # measures a person's height makes a long-legged body too small
+    return eqx.tree_at(lambda b: b.scale, grown, height_of(grown) / height_ratio(body))
 
 
 def changed_options(options: IcpOptions, by: Changes) -> IcpOptions:
@@ -369,11 +366,3 @@ def height_of(body: Body) -> Float[Array, ""]:
     return jnp.maximum(jnp.max(bottom + reach0), jnp.max(top + reach1)) - jnp.minimum(
         jnp.min(bottom - reach0), jnp.min(top - reach1)
     )
-
-
-def named_by_height(body: Body, before: Body) -> Body:
-    """The body with its `scale` in proportion to its height, as for people or as `before`, since limbs may have grown.
-
-    Otherwise a start that measures a person's height makes a long-legged body too small.
-    """
-    return eqx.tree_at(lambda b: b.scale, body, height_of(body) / height_ratio(before))

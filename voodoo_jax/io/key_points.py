@@ -84,7 +84,11 @@ def people_of(frames: dict[int, list[list[Sight]]]) -> tuple[dict[int, Pairs], d
             names = tuple(prefix + name for name in points)
             pairs.setdefault(i, []).append(Pairs(names, np.array(list(points.values()), np.float32), None))
             rays.setdefault(i, []).append(_rays(prefix, points, looks))
-    return {i: _joined_pairs(some) for i, some in pairs.items()}, {i: joined_rays(some) for i, some in rays.items()}
+    joined = {
+        i: Pairs(tuple(n for p in some for n in p.names), np.concatenate([p.points for p in some]), None)
+        for i, some in pairs.items()
+    }
+    return joined, {i: joined_rays(some) for i, some in rays.items()}
 
 
 def _take(people: list[_Person], i: int, left: list[list[Sight]]) -> None:
@@ -223,7 +227,3 @@ def _rays(prefix: str, points: dict[str, np.ndarray], looks: list[Sight]) -> Ray
         tuple(names), np.array(origins, np.float32).reshape(-1, 3), np.array(directions, np.float32).reshape(-1, 3),
         np.array(weights, np.float32),
     )  # fmt: skip
-
-
-def _joined_pairs(some: list[Pairs]) -> Pairs:
-    return Pairs(tuple(n for p in some for n in p.names), np.concatenate([p.points for p in some]), None)

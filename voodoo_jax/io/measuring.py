@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32
+from jaxtyping import Float, Float32, Int32
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
@@ -99,18 +99,15 @@ class Measuring:
                 else:
                     losses[topic, f"without the field '{field}': all their points are free"] += 1
             with np.errstate(invalid="ignore", over="ignore"):
-                keep = self._in_range(np.einsum("ni,ni->n", points, points))
+                square = np.einsum("ni,ni->n", points, points)
+                # NaN fails every comparison; a range of exactly 0 is a driver's word for nothing seen
+                keep = (square >= s.min_range**2) & (square <= s.max_range**2) & (square > 0)
             if content.pose is not None:
                 translation = rotation @ content.pose[1] + translation
                 rotation = rotation @ content.pose[0]
             points, labels = points[keep] @ rotation.T + translation, None if labels is None else labels[keep]
         part = self.parts.numbers(topic, labels, len(points))
         return Measured(points, translation, part)
-
-    def _in_range(self, square: Float[np.ndarray, " point"]) -> Bool[np.ndarray, " point"]:
-        """Which squared distances from the sensor count."""
-        # NaN fails every comparison; a range of exactly 0 is a driver's word for nothing seen
-        return (square >= self.settings.min_range**2) & (square <= self.settings.max_range**2) & (square > 0)
 
     def _directions(
         self, topic: str, image: Image, k: int, rotation: Float[np.ndarray, "3 3"]

@@ -100,14 +100,8 @@ def harrington_hips(spines: Float[np.ndarray, "4 3"]) -> Float[np.ndarray, "2 3"
 
     **Arguments:** `spines` as for `newington_hips`. Radius of markers: 7 mm.
     """
-    left, right = spines[:2]
-    middle, aside = (left + right) / 2, left - right
-    width = np.linalg.norm(aside)
-    aside = aside / width
-    ahead = middle - spines[2:].mean(0)
-    depth = np.linalg.norm(ahead) - 2 * 0.007
-    ahead = ahead - (ahead @ aside) * aside
-    ahead = ahead / np.linalg.norm(ahead)
+    middle, aside, ahead, width, depth = _pelvis(spines)
+    depth -= 2 * 0.007
     forward, up = -0.24 * depth - 0.0099 - 0.007, -0.30 * width - 0.0109
     centre = middle + forward * ahead + up * np.cross(ahead, aside)
     out = (0.33 * width + 0.0073) * aside
@@ -120,17 +114,21 @@ def newington_hips(spines: Float[np.ndarray, "4 3"], leg: float) -> Float[np.nda
     **Arguments:** `spines` markers on the spines of the pelvis: front left and right, back left and right; `leg` length
     from front spine to inner ankle, metres. Radius of markers: 7 mm.
     """
-    left, right = spines[:2]
-    middle, aside = (left + right) / 2, left - right
-    half = np.linalg.norm(aside) / 2
-    aside = aside / (2 * half)
-    ahead = middle - spines[2:].mean(0)
-    ahead = ahead - (ahead @ aside) * aside
-    ahead = ahead / np.linalg.norm(ahead)
+    middle, aside, ahead, width, _ = _pelvis(spines)
     theta, beta = 0.5, 0.314
     c, deep = 0.115 * leg - 0.0153, 0.1288 * leg - 0.04856 + 0.007
     forward = c * cos(theta) * sin(beta) - deep * cos(beta)
     up = -c * cos(theta) * cos(beta) - deep * sin(beta)
     centre = middle + forward * ahead + up * np.cross(ahead, aside)
-    out = (half - c * sin(theta)) * aside
+    out = (width / 2 - c * sin(theta)) * aside
     return np.stack([centre + out, centre - out])
+
+
+def _pelvis(spines: Float[np.ndarray, "4 3"]) -> tuple:
+    """Middle between the front spines, unit vectors to the left and ahead, and their distances from each other and from
+    the back ones; metres."""
+    middle, aside = (spines[0] + spines[1]) / 2, spines[0] - spines[1]
+    width = np.linalg.norm(aside)
+    aside, behind = aside / width, middle - spines[2:].mean(0)
+    ahead = behind - (behind @ aside) * aside
+    return middle, aside, ahead / np.linalg.norm(ahead), width, np.linalg.norm(behind)

@@ -80,9 +80,12 @@ def _views(s: ColourSimulation, number: int) -> list[_View]:
 
 def _write(s: Simulation | ColourSimulation, views: list[_View], path: str | os.PathLike[str]) -> Path:
     """Writes the log and its truth."""
-    path = Path(path)
-    _replace(path, lambda stream: _ros2(views, s.time_ns.tolist(), s.fixed_frame, stream))
-    _replace(path.with_name(f"{path.stem}.truth.npz"), lambda stream: _save_truth(s, stream))
+    path, body = Path(path), s.body
+    dims = segment_lengths(body) | ({"stature": float(body.scale)} if body.scale_name == "stature" else {})
+    with replacing(path) as partial, open(partial, "wb") as stream:
+        _ros2(views, s.time_ns.tolist(), s.fixed_frame, stream)
+    with replacing(path.with_name(f"{path.stem}.truth.npz")) as partial, open(partial, "wb") as stream:
+        save_truth(stream, s.time_ns, s.joints, body.topology.centres, dims)
     return path
 
 
@@ -92,22 +95,11 @@ def _jpeg(image: np.ndarray) -> bytes:
     return np.asarray(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG])[1]).tobytes()
 
 
-def _save_truth(simulation: Simulation | ColourSimulation, stream: BinaryIO) -> None:
-    body, s = simulation.body, simulation
-    dims = segment_lengths(body) | ({"stature": float(body.scale)} if body.scale_name == "stature" else {})
-    save_truth(stream, s.time_ns, s.joints, body.topology.centres, dims)
-
-
 def save_truth(
     stream: BinaryIO, time_ns: np.ndarray, joints: np.ndarray, names: Sequence[str], dims: dict[str, float]
 ) -> None:
     """Writes the truth in the form of write_simulation."""
     np.savez_compressed(stream, time_ns=time_ns, joints=joints, names=np.array(names), dims=np.array(json.dumps(dims)))
-
-
-def _replace(path: Path, fill: Callable[[BinaryIO], None]) -> None:
-    with replacing(path) as partial, open(partial, "wb") as stream:
-        fill(stream)
 
 
 def matrices(camera: Camera, baseline: float = 0.0) -> tuple[list[float], list[float], list[float]]:

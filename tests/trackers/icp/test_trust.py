@@ -18,6 +18,7 @@ from voodoo_jax.trackers.shared.confidence import (
     THERE_AND_BACK,
     UNMARKED,
     averaged,
+    averages_of,
     clues,
     facing_right,
     ill_fit,
@@ -204,7 +205,7 @@ def test_odds_of_facing_tell_little_of_a_body_that_fits_badly(worse):
     odds = {"facing_odds": np.full(6, 0.2, np.float32)}
     fine = fitting().having(**odds)
     badly = fine.having(**{worse: np.full((6, LIMBS), 0.3, np.float32)})
-    good, bad = (facing_right(tracks, ill_fit(misfits(tracks))) for tracks in (fine, badly))
+    good, bad = (facing_right(tracks, ill_fit(misfits(tracks, averages_of(tracks)))) for tracks in (fine, badly))
     sides = np.array([name[:2] in ("l_", "r_") for name in TOPOLOGY.centres])
     assert (good[:, sides] > 0.95).all() and (bad[:, sides] > 0.5).all()
     assert (bad[:, sides] < (0.8 if worse == "limb_beside" else good[:, sides] - 0.002)).all()

@@ -265,11 +265,13 @@ def convert_trc(source: Path, target: Answer) -> list[str]:
     try:
         header = dict(zip(*_fields(lines[1], lines[2])))
         names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
-        unit = _unit(header["Units"].strip(), source)
+        if (unit := unit_name(header["Units"].strip())) is None:
+            raise ConvertError(f"'{source}' has the unit '{header['Units'].strip()}'; known are {', '.join(METRES)}")
         rows = [line.split("\t") for line in lines[5:] if line.strip() and line.split("\t")[0].strip().isdigit()]
         width = 2 + 3 * len(names)
         check_points(len(names), len(rows))
-        table = np.array([[_number(v) for v in (row + [""] * width)[:width]] for row in rows]).reshape(-1, width)
+        padded = [(row + [""] * width)[:width] for row in rows]
+        table = np.array([[float(v) if v.strip() else np.nan for v in row] for row in padded]).reshape(-1, width)
     except ConvertError:
         raise
     except (IndexError, KeyError, ValueError) as problem:
@@ -277,7 +279,7 @@ def convert_trc(source: Path, target: Answer) -> list[str]:
     if not names or not np.isfinite(table[:, 1]).all():
         raise ConvertError(f"'{source}' cannot be read as TRC: it names no marker, or rows have no time")
     # by OpenSim's convention y is up
-    write_markers(target, source, names, table[:, 2:].reshape(len(table), -1, 3) * unit, table[:, 1], "y")
+    write_markers(target, source, names, table[:, 2:].reshape(len(table), -1, 3) * METRES[unit], table[:, 1], "y")
     return []
 
 
@@ -285,16 +287,6 @@ def _fields(names: str, values: str) -> tuple[list[str], list[str]]:
     """Of a header: by white space, for some programs put two tabs between values; by tabs where a value is missing."""
     by_space = names.split(), values.split()
     return by_space if len(by_space[0]) == len(by_space[1]) else (names.split("\t"), values.split("\t"))
-
-
-def _number(text: str) -> float:
-    return float(text) if text.strip() else np.nan
-
-
-def _unit(name: str, source: Path) -> float:
-    if (unit := unit_name(name)) is None:
-        raise ConvertError(f"'{source}' has the unit '{name}'; known are {', '.join(METRES)}")
-    return METRES[unit]
 
 
 def _upwards(point: dict[str, Any]) -> str:

@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 
 from voodoo_jax.config.limited import limits, too_large
 from voodoo_jax.io.convert.target import ConvertError, new_log
-from voodoo_jax.io.decode.by_fields import kind_by_fields
+from voodoo_jax.io.decode.by_fields import by_fields
 from voodoo_jax.io.decode.registry import KINDS
 from voodoo_jax.storage.guarded import Answer
 from voodoo_jax.storage.troubles import check_file, small_text
@@ -177,7 +177,7 @@ def _fits(reader: Any, connection: Any) -> bool:
 def _check_use(source: Path, store: Any, kept: list[Any], left_out: list[str]) -> None:
     """Raises ConvertError where topics were left out and no measurement is left."""
     kinds = {_renamed(c.msgtype) for c in kept}
-    used = {KINDS.get(kind, "") or kind_by_fields(store, kind) for kind in kinds}
+    used = {KINDS.get(kind, "") or by_fields(store, kind)[0] for kind in kinds}
     if left_out and not used - {"", "calibration", "transforms"}:
         raise ConvertError(f"'{source}' has no usable topic left: {'; '.join(left_out)}")
 

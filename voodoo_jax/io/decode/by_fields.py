@@ -64,22 +64,14 @@ def _strings(store: Typestore, name: str) -> list[str]:
     return [f for f, (kind, sub) in found if kind == Nodetype.BASE and sub[0] == "string"]
 
 
-def structure_converter(store: Typestore, name: str) -> Callable[[Any], Any] | None:
-    """A function that converts a message of this type to an Image, Cloud or Features; None if its fields fit none."""
-    return _found(store, name)[1]
-
-
-def kind_by_fields(store: Typestore, name: str) -> str:
-    """The use of messages of this type, as in `registry.KINDS`; "" for none."""
-    return _found(store, name)[0]
-
-
 def starts_with_header(store: Typestore, name: str) -> bool:
     """Whether the first field of a message is a header."""
     return next(iter(_fields(store, name).values()), None) == (Nodetype.NAME, HEADER)
 
 
-def _found(store: Typestore, name: str) -> tuple[str, Callable[[Any], Any] | None]:
+def by_fields(store: Typestore, name: str) -> tuple[str, Callable[[Any], Any] | None]:
+    """The use of messages of this type, as in `registry.KINDS`, and a function that converts one to an Image, Cloud or
+    Features; "" and None if its fields fit none."""
     if name.split("/")[0] in _KNOWN and name != "sensor_msgs/msg/PointCloud":
         return "", None
     images = [field for field in _of(store, name, IMAGE) if "depth" in field.lower()]

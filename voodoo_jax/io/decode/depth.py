@@ -152,10 +152,6 @@ def _foxglove_laser(m: Any) -> Cloud:
     return Cloud(pb_stamp(m), frame_name(m.frame_id), grid, foxglove_pose(m))
 
 
-def _foxglove_image(m: Any) -> Image:
-    return _image(pb_stamp(m), m.frame_id, m.encoding, m.height, m.width, m.step, m.data, "<")
-
-
 def _foxglove_calibration(m: Any) -> Calibration:
     K = np.array(m.K, float).reshape(3, 3) if m.K else np.zeros((3, 3))
     P = np.array(m.P, float).reshape(3, 4) if m.P else np.zeros((3, 4))
@@ -217,7 +213,10 @@ CONVERTERS = {
     "sensor_msgs/msg/CameraInfo": ("calibration", _ros_calibration),
     "tf2_msgs/msg/TFMessage": ("transforms", _ros_tf),
     "foxglove.PointCloud": ("point cloud", _foxglove_cloud),
-    "foxglove.RawImage": ("image", _foxglove_image),
+    "foxglove.RawImage": (
+        "image",
+        lambda m: _image(pb_stamp(m), m.frame_id, m.encoding, m.height, m.width, m.step, m.data, "<"),
+    ),
     "foxglove.LaserScan": ("laser scan", _foxglove_laser),
     "foxglove.CameraCalibration": ("calibration", _foxglove_calibration),
     "foxglove.FrameTransform": ("transforms", lambda m: [_foxglove_transform(m)]),

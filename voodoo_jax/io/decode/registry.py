@@ -23,7 +23,7 @@ from rosbags.typesys.store import Typestore
 from voodoo_jax.config.limited import limits, too_large
 from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.io.decode import depth, image_codec, landmarks, packed_cloud
-from voodoo_jax.io.decode.by_fields import kind_by_fields, starts_with_header, structure_converter
+from voodoo_jax.io.decode.by_fields import by_fields, starts_with_header
 from voodoo_jax.io.decode.landmark_layout import Remembering
 from voodoo_jax.records.messages import PAIRS, RAYS
 
@@ -92,7 +92,8 @@ def kind_of(schema: Schema | None, channel: Channel) -> str:
     """The use of a channel: a value of `KINDS`, or "" for none."""
     if schema is None or (channel.message_encoding, schema.encoding) not in _ENCODINGS:
         return ""
-    return KINDS.get(_full(schema.name), "") or structure_kind(schema, channel)
+    known = KINDS.get(_full(schema.name), "")
+    return known or (_of_structure(schema)[0] if channel.message_encoding in ("cdr", "ros1") else "")
 
 
 def reason_unused(schema: Schema | None, channel: Channel) -> str:
@@ -158,19 +159,11 @@ def _check_size(definition: bytes) -> None:
         raise ValueError(trouble)
 
 
-@lru_cache(KEPT)
-def _begins_with_header(schema_name: str, encoding: str, definition: bytes, within: LimitSettings) -> bool:
-    try:
-        return starts_with_header(*_types(schema_name, encoding, definition, within))
-    except DECODE_ERRORS:
-        return False
-
-
 def quick_stamp(schema: Schema, channel: Channel, data: bytes) -> int | None:
     """Header stamp of a ROS message that starts with std_msgs/Header, nanoseconds, without decoding the rest."""
     if channel.message_encoding not in ("cdr", "ros1"):
         return None
-    if _full(schema.name) not in KINDS and not _begins_with_header(schema.name, schema.encoding, schema.data, limits()):
+    if _full(schema.name) not in KINDS and not _of_structure(schema)[1]:
         return None
     if channel.message_encoding == "ros1" and len(data) >= 12:  # behind a sequence number
         seconds, nanoseconds = struct.unpack_from("<II", data, 4)
@@ -229,27 +222,25 @@ def _fields(store: Typestore, name: str, above: tuple[str, ...], known: dict[str
 @lru_cache(64)
 def _ros(schema_name: str, encoding: str, definition: bytes, within: LimitSettings) -> Callable[[bytes], Any]:
     store, name = _types(schema_name, encoding, definition, within)
-    convert = _TYPES[name][1] if name in _TYPES else structure_converter(store, name)
+    convert = _TYPES[name][1] if name in _TYPES else by_fields(store, name)[1]
     if convert is None:
         raise ValueError(f"{name} has no usable field")
     read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
     return lambda data: convert(read(data, name))
 
 
+def _of_structure(schema: Schema) -> tuple[str, bool]:
+    """The use of a ROS message of an unknown type, by its fields, and whether it starts with a header."""
+    return _structure(schema.name, schema.encoding, schema.data, limits())
+
+
 @lru_cache(KEPT)
-def _structure_kind(schema_name: str, encoding: str, definition: bytes, within: LimitSettings) -> str:
+def _structure(schema_name: str, encoding: str, definition: bytes, within: LimitSettings) -> tuple[str, bool]:
     try:
         store, name = _types(schema_name, encoding, definition, within)
-        return kind_by_fields(store, name)
+        return by_fields(store, name)[0], starts_with_header(store, name)
     except DECODE_ERRORS:
-        return ""
-
-
-def structure_kind(schema: Schema, channel: Channel) -> str:
-    """The use of a ROS message of an unknown type, by its fields."""
-    if channel.message_encoding not in ("cdr", "ros1"):
-        return ""
-    return _structure_kind(schema.name, schema.encoding, schema.data, limits())
+        return "", False
 
 
 def _protobuf(schema: Schema) -> Callable[[bytes], Any]:

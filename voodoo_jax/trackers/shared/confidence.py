@@ -117,7 +117,7 @@ def _spread(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
     return np.sqrt(np.einsum("jab,fjbc,jac->fj", shift, twist, shift))
 
 
-def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint misfit"]:
+def misfits(tracks: Tracks, averages: "Averages | None") -> Float[np.ndarray, "frame joint misfit"]:
     """Clues that the body is fitted to something else, of each joint centre, averaged over a second.
 
     The worst of three limbs counts: its own, the next one towards the trunk and the one that it meets there. The clues
@@ -127,53 +127,10 @@ def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame join
     points that no other limb explains, to that of PLENTY. Of the body: the logarithm of the points' distance from all
     limbs, metres (see misfit.py), and how unusual the size is.
 
-    **Arguments:** `ahead` as for `clues`.
+    **Arguments:** `averages` of these tracks, see averages_of.
 
     NaN where it is not known.
     """
-    return _misfits(tracks, _averages(tracks, ahead))
-
-
-class Averages(NamedTuple):
-    """Misfits of limbs, averaged over a second around each frame."""
-
-    beside: Float32[np.ndarray, "frame limb"]  # means, see Tracks
-    distance: Float32[np.ndarray, "frame limb"]
-    bare: Float32[np.ndarray, "frame limb"]
-    inside: Float32[np.ndarray, "frame limb"]  # in other limbs, metres, mean
-    beyond: Float32[np.ndarray, "frame limb"]  # of the joint towards the trunk, beyond its limits, radians, mean
-    apart: Float32[np.ndarray, "frame limb"]  # passes, metres, the most; 0 where there was one
-    own: Float32[np.ndarray, "frame limb"]  # weight of points that no other limb explains, mean
-
-    def some(self, span: slice) -> "Averages":
-        """The averages of some frames."""
-        return Averages(*(each[span] for each in self))
-
-
-def _averages(tracks: Tracks, ahead: bool) -> Averages | None:
-    """None if misfits are unknown."""
-    seen = tracks.evidence
-    beside, distance, bare, own = seen.limb_beside, seen.limb_distance, seen.limb_bare, seen.limb_own
-    if beside is None or distance is None or bare is None or own is None:
-        return None
-    nothing = np.zeros(beside.shape, np.float32)
-    known = lambda found: nothing if found is None else np.nan_to_num(found)  # noqa: E731
-    beyond, apart = nothing.copy(), known(seen.passes_apart)
-    if seen.beyond_limits is not None:
-        beyond[:, np.array(tracks.body.topology.children, int)] = np.nan_to_num(seen.beyond_limits)
-    return Averages(
-        averaged(beside, ahead),
-        averaged(distance, ahead),
-        averaged(bare, ahead),
-        averaged(known(seen.depth_inside), ahead),
-        averaged(beyond, ahead),
-        maximum_filter1d(apart, AROUND, 0) if len(apart) else apart,
-        averaged(seen.limb_weight * np.nan_to_num(own), ahead),
-    )
-
-
-def _misfits(tracks: Tracks, averages: Averages | None) -> Float[np.ndarray, "frame joint misfit"]:
-    """See misfits; of tracks whose `averages` these are."""
     t, count = tracks.body.topology, len(tracks.status)
     limbs = np.array(t.centre_limbs, int)
     if averages is None:
@@ -197,6 +154,44 @@ def _misfits(tracks: Tracks, averages: Averages | None) -> Float[np.ndarray, "fr
         np.log1p(PLENTY) - np.log1p(np.clip(averages.own[:, limbs], 0.0, PLENTY)),
     )
     return np.stack(found, -1)
+
+
+class Averages(NamedTuple):
+    """Misfits of limbs, averaged over a second around each frame."""
+
+    beside: Float32[np.ndarray, "frame limb"]  # means, see Tracks
+    distance: Float32[np.ndarray, "frame limb"]
+    bare: Float32[np.ndarray, "frame limb"]
+    inside: Float32[np.ndarray, "frame limb"]  # in other limbs, metres, mean
+    beyond: Float32[np.ndarray, "frame limb"]  # of the joint towards the trunk, beyond its limits, radians, mean
+    apart: Float32[np.ndarray, "frame limb"]  # passes, metres, the most; 0 where there was one
+    own: Float32[np.ndarray, "frame limb"]  # weight of points that no other limb explains, mean
+
+    def some(self, span: slice) -> "Averages":
+        """The averages of some frames."""
+        return Averages(*(each[span] for each in self))
+
+
+def averages_of(tracks: Tracks, ahead: bool = True) -> Averages | None:
+    """Averages of tracks; None if misfits are unknown. `ahead` as for `clues`."""
+    seen = tracks.evidence
+    beside, distance, bare, own = seen.limb_beside, seen.limb_distance, seen.limb_bare, seen.limb_own
+    if beside is None or distance is None or bare is None or own is None:
+        return None
+    nothing = np.zeros(beside.shape, np.float32)
+    known = lambda found: nothing if found is None else np.nan_to_num(found)  # noqa: E731
+    beyond, apart = nothing.copy(), known(seen.passes_apart)
+    if seen.beyond_limits is not None:
+        beyond[:, np.array(tracks.body.topology.children, int)] = np.nan_to_num(seen.beyond_limits)
+    return Averages(
+        averaged(beside, ahead),
+        averaged(distance, ahead),
+        averaged(bare, ahead),
+        averaged(known(seen.depth_inside), ahead),
+        averaged(beyond, ahead),
+        maximum_filter1d(apart, AROUND, 0) if len(apart) else apart,
+        averaged(seen.limb_weight * np.nan_to_num(own), ahead),
+    )
 
 
 def meeting_limbs(body: Body) -> Int[np.ndarray, " joint"]:
@@ -272,7 +267,7 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
 
     **Arguments:** `ahead` as for `clues`.
     """
-    averages, shape = _averages(tracks, ahead), (len(tracks.status), len(tracks.body.topology.centres))
+    averages, shape = averages_of(tracks, ahead), (len(tracks.status), len(tracks.body.topology.centres))
     sure, ill = np.full(shape, np.nan), np.zeros((shape[0], 2))
     for at in range(0, shape[0], BATCH):
         span = slice(at, min(at + BATCH, shape[0]))
@@ -280,7 +275,7 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
         inner = slice(at - around.start, span.stop - around.start)
         found = clues(tracks.only(around), ahead)[inner]
         twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
-        misfit = _misfits(tracks.only(span), averages and averages.some(span))
+        misfit = misfits(tracks.only(span), averages and averages.some(span))
         fits = probability(MATCHED_FITS if tracks.evidence.matched else FITS, misfit)
         ill[span] = 0.0 if tracks.evidence.matched else ill_fit(misfit)
         sure[span] = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0)
