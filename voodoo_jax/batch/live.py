@@ -98,10 +98,9 @@ class LiveJob:
     def __post_init__(self):
         if self.settings.changes:
             raise SettingsError("[[change]] in the settings: live tracking does not support changes of the body")
-        if self.settings.read.skin:
-            raise SettingsError("read.skin needs a whole log: live tracking does not support it")
-        if self.settings.read.pose_net:
-            raise SettingsError("read.pose_net needs a whole log: live tracking does not support it")
+        for name in ("skin", "pose_net"):
+            if getattr(self.settings.read, name):
+                raise SettingsError(f"read.{name} needs a whole log: live tracking does not support it")
 
     @property
     def targets(self) -> tuple[Path, Path]:

@@ -212,35 +212,31 @@ def jax_cache_aside() -> Iterator[None]:
 
 def kept(name: str) -> bytes | None:
     """What some process has kept under a name (see executable.py); None if nothing, or not whole."""
-    for shared, own in list(_own.values()):
-        for folder in (own, shared):
-            with suppress(OSError):
-                data = _read(entry := _entry(folder, name))
-                with suppress(OSError):  # a folder that can only be read
-                    os.utime(entry)  # see sweep
-                if hashlib.sha256(data[DIGEST:]).digest() == data[:DIGEST]:
-                    return zlib.decompress(data[DIGEST:])
-                spoiled(name)
+    for shared, _ in list(_own.values()):
+        with suppress(OSError):
+            data = _read(entry := _entry(shared, name))
+            with suppress(OSError):  # a folder that can only be read
+                os.utime(entry)  # see sweep
+            if hashlib.sha256(data[DIGEST:]).digest() == data[:DIGEST]:
+                return zlib.decompress(data[DIGEST:])
+            spoiled(name)
     return None
 
 
 def keep(name: str, data: bytes) -> None:
     """Keeps something for other processes, at once: what takes long to make, two should not make."""
+    packed = zlib.compress(data, 1)
     for shared, own in list(_own.values()):
         with suppress(OSError):  # as in link_all
-            entry = _entry(own, name)
-            partial = entry.with_name(f".{name}.tmp")
-            packed = zlib.compress(data, 1)
-            _write(partial, hashlib.sha256(packed).digest() + packed)
-            os.replace(partial, entry)
-            _link(entry, _entry(shared, name))
+            _write(partial := own / f".{name}.tmp", hashlib.sha256(packed).digest() + packed)
+            os.replace(partial, _entry(shared, name))
 
 
 def spoiled(name: str) -> None:
     """Takes away what was kept under a name."""
-    for folder in (folder for both in list(_own.values()) for folder in both):
+    for shared, _ in list(_own.values()):
         with suppress(OSError):
-            _entry(folder, name).unlink()
+            _entry(shared, name).unlink()
 
 
 @contextmanager
@@ -266,12 +262,9 @@ def link_all(source: Path, target: Path) -> None:
     with suppress(OSError):  # a full disk, or a folder that somebody has cleared: compiled again next time
         there = set(os.listdir(target))
         for name in os.listdir(source):
-            if not name.endswith("-cache") or name in there:
+            if not name.endswith("-cache") or name in there or name.startswith(OURS):  # see keep
                 continue
-            own = source.name.startswith("run-")
-            if name.startswith(OURS) and not own:  # see kept
-                continue
-            if own and not _complete(source / name):
+            if source.name.startswith("run-") and not _complete(source / name):
                 (source / name).unlink(missing_ok=True)
                 continue
             _link(source / name, target / name)
@@ -281,8 +274,6 @@ def _complete(entry: Path) -> bool:
     """Whether an entry that jax has written here is whole: a full disk leaves the first part of one, which jax would
     neither use nor write again. Raises OSError."""
     data = entry.read_bytes()
-    if entry.name.startswith(OURS):  # has a checksum
-        return True
     unpacking = zstandard.ZstdDecompressor().decompressobj() if data[:4] == ZSTD else zlib.decompressobj()
     try:
         unpacking.decompress(data)

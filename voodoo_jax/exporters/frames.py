@@ -52,6 +52,15 @@ def known(tracks: Tracks) -> Bool[np.ndarray, "frame limb"]:
     return finite & tracks.tracked[:, None]
 
 
+def forwards(tracks: Tracks, i: int) -> Float[np.ndarray, "3"] | None:
+    """Where the body's front points in a frame, in the fixed frame; None without a pose."""
+    root = tracks.rotation[i, 0]
+    if not np.isfinite(root).all():
+        return None
+    rest = np.asarray(tracks.body.rest.rotation, float)[0]
+    return (rotations(root) * rotations(rest).inv()).apply([1.0, 0, 0])[0]  # x in its rest pose
+
+
 def joints(tracks: Tracks) -> Float[np.ndarray, "frame joint 3"]:
     """Joint centres in the fixed frame, metres; NaN in frames that are not tracked."""
     return np.where(tracks.tracked[:, None, None], tracks.joints, np.nan).astype(float)

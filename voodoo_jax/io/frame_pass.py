@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.container import UNPACKERS, Item, guarded
+from voodoo_jax.io.container import UNPACKERS, Item
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.log_index import Scan
@@ -65,10 +65,9 @@ class FramePass:
         for i in extra.values():
             missing[i] += 1
         used = {*self._sensors, *stereo.rights, *(name for name, _ in extra)}
-        wanted = lambda s, c: c.topic in used and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
         following = complete = 0
         ahead = AHEAD if stereo.pairs else 0  # frames whose images are matched while those before are used
-        for topic, number, item, partner in stereo.items(guarded(scan.log, wanted)):
+        for topic, number, item, partner in stereo.items(scan.numbered(used)):
             if (topic, number) in extra:
                 i = extra[topic, number]
                 missing[i] -= 1

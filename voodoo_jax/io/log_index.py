@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from voodoo_jax.config.limited import TIME, limits
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.clocks import Stamps, note_of, shifts
-from voodoo_jax.io.container import LogError, LogFile, Place, guarded
+from voodoo_jax.io.container import Item, LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.image_codec import COLOUR_KIND
 from voodoo_jax.io.decode.registry import (
     DECODE_ERRORS,
@@ -179,6 +179,15 @@ class Scan:
         if kind == COLOUR_KIND and known is not None and known.kind in DEPTH_KINDS:
             kind = known.kind  # its compressed images turned out to be of depth
         return "" if kind in self._off else kind
+
+    def numbered(self, names: Container[str]) -> Iterator[tuple[str, int, Item]]:
+        """The messages of some topics: topic, number among its messages, message. Raises LogError."""
+        seen: Counter[str] = Counter()
+        wanted = lambda s, c: c.topic in names and self.kind(s, c) == self.topics[c.topic].kind  # noqa: E731
+        for item in guarded(self.log, wanted):
+            topic = item[1].topic
+            yield topic, seen[topic], item
+            seen[topic] += 1
 
     def _topic(self, schema: Schema | None, channel: Channel) -> Topic:
         if channel.topic not in self.topics and len(self.topics) >= limits().topics:

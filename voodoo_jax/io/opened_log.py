@@ -17,7 +17,7 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.as_shown import TELLING
 from voodoo_jax.io.calibrations import calibration_of, fitted, leeway
-from voodoo_jax.io.container import LogError, guarded
+from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode.image_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_pass import UNREADABLE, FramePass
@@ -191,11 +191,9 @@ class LogReader:
         near = None if at is None else {int(np.argmin(np.abs(stamps - t))) for t in at}
         last = total if spread else 60 + step * count  # two seconds of darkness
         last = last if near is None else max(near, default=0)
-        found, decoder, number = [], Decoder(), -1
+        found, decoder = [], Decoder()
         stereo = {pair.left for pair in self.scan.stereo}
-        wanted = lambda s, c: c.topic == topic and self.scan.kind(s, c) == self.scan.topics[topic].kind  # noqa: E731
-        for schema, channel, message in guarded(self.scan.log, wanted) if topic not in stereo else ():
-            number += 1
+        for _, number, (schema, channel, message) in self.scan.numbered((topic,)) if topic not in stereo else ():
             self.scan.log.clock.check()
             if number > last:
                 break

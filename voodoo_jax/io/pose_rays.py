@@ -7,7 +7,6 @@ import numpy as np
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.calibrations import calibration_of, fitted
-from voodoo_jax.io.container import guarded
 from voodoo_jax.io.decode.image_codec import pixels
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
@@ -39,12 +38,9 @@ def with_key_points(scan: Scan, settings: ReadSettings) -> Scan:
         return scan
     files = pose_files(settings.pose_net)
     nets = {name: PoseNet(files) for name in cameras}
-    decoder, seen, blind = Decoder(), Counter[str](), Counter[str]()
+    decoder, blind = Decoder(), Counter[str]()
     found: dict[str, list[tuple[int, np.ndarray, np.ndarray]]] = {name: [] for name in cameras}
-    wanted = lambda s, c: c.topic in nets and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
-    for schema, channel, message in guarded(scan.log, wanted):
-        name, number = channel.topic, seen[channel.topic]
-        seen[name] += 1
+    for name, number, (schema, channel, message) in scan.numbered(nets):
         try:
             picture = picture_of(decoder.message(schema, channel, message.data)) if schema is not None else None
             points = None if picture is None else nets[name].find(image := pixels(picture))

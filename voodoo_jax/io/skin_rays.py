@@ -8,7 +8,6 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import fitted, lens_of
-from voodoo_jax.io.container import guarded
 from voodoo_jax.io.decode.image_codec import pixels
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
@@ -82,11 +81,9 @@ def _find(scan: Scan, names: set[str], wanted: set[tuple[str, int]], counted: Co
     from voodoo_jax.sensors.skin_colour import SkinFinder
 
     finders = {name: SkinFinder() for name in names}
-    decoder, seen, found = Decoder(), Counter(), {}
-    same = lambda s, c: c.topic in names and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
-    for schema, channel, message in guarded(scan.log, same):
-        key = channel.topic, seen[channel.topic]
-        seen[channel.topic] += 1
+    decoder, found = Decoder(), {}
+    for topic, number, (schema, channel, message) in scan.numbered(names):
+        key = topic, number
         if key not in wanted or schema is None:
             continue
         try:

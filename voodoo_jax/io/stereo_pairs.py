@@ -1,7 +1,7 @@
 """Stereo pairs of a log: finds their topics, and pairs their images while the log is read."""
 
 import re
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
@@ -128,16 +128,12 @@ class StereoReader:
             for i, j in partners(left, right).items():
                 self._key[pair.left, i] = self._key[pair.right, j] = pair.left, i
 
-    def items(self, messages: Iterable[Item]) -> Iterator[tuple[str, int, Item, Item | None]]:
-        """(topic, its message's number, message, the right camera's message). A left image comes when its partner has
+    def items(self, messages: Iterable[tuple[str, int, Item]]) -> Iterator[tuple[str, int, Item, Item | None]]:
+        """Numbered messages (see Scan.numbered), each with the right camera's. A left image comes when its partner has
         come, or with None if it has none or too many wait; all other messages pass at once with None."""
-        seen: Counter[str] = Counter()
         held: OrderedDict[tuple[str, int], tuple[bool, Item]] = OrderedDict()
         late = set()
-        for item in messages:
-            topic = item[1].topic
-            number = seen[topic]
-            seen[topic] += 1
+        for topic, number, item in messages:
             is_right = topic in self.rights
             key = self._key.get((topic, number))
             if key is None:

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
+from voodoo_jax.exporters.frames import forwards
 from voodoo_jax.exporters.limb_shapes import limb_rings, side_of
 from voodoo_jax.records.recording import Frame, Recording
 from voodoo_jax.records.stretches import spread
@@ -222,10 +222,8 @@ def _view(tracks: Tracks, recording: Recording, frames: list[Frame], i: int) -> 
     else:
         target = np.median(np.concatenate(clouds), 0).astype(float) if clouds else sensor + [1.0, 0, 0]
     away = target - sensor
-    root = tracks.rotation[i, 0]
-    if origin is None and np.isfinite(root).all():  # the body's forward axis is x in its rest pose
-        rest = Rotation.from_quat(np.asarray(tracks.body.rest.rotation, float)[0], scalar_first=True)
-        away = -(Rotation.from_quat(root.astype(float), scalar_first=True) * rest.inv()).apply([1.0, 0, 0])
+    if origin is None and (ahead := forwards(tracks, i)) is not None:
+        away = -ahead
     away = away - up * (away @ up)
     if np.linalg.norm(away) < 1e-6:  # the sensor looks straight up or down: any horizontal direction
         away = np.cross(up, [0.0, 1.0, 0.0] if abs(up[1]) < 0.9 else [1.0, 0.0, 0.0])

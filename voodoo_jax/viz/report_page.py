@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
 from voodoo_jax._version import __version__
-from voodoo_jax.exporters.frames import seconds, upright
+from voodoo_jax.exporters.frames import forwards, seconds, upright
 from voodoo_jax.exporters.limb_shapes import limb_rings, rings, side_of
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import Html, all_of, filled, is_remark
@@ -124,11 +123,8 @@ def _front(tracks: Tracks, i: int) -> Float[np.ndarray, "3 3"]:
     """Rows: right, up and away, for a view of the body's front in frame `i`."""
     turn = upright(tracks)
     up = turn.T[:, 2]
-    rest = Rotation.from_quat(np.asarray(tracks.body.rest.rotation, float)[0], scalar_first=True)
-    away = turn.T[:, 0]
-    if np.isfinite(tracks.rotation[i, 0]).all():
-        now = Rotation.from_quat(tracks.rotation[i, 0].astype(float), scalar_first=True)
-        away = -(now * rest.inv()).apply([1.0, 0, 0])  # the body's forward axis is x in its rest pose
+    ahead = forwards(tracks, i)
+    away = turn.T[:, 0] if ahead is None else -ahead
     away = away - up * (away @ up)
     if np.linalg.norm(away) < 0.1:  # who lies shows no front: any horizontal direction
         away = turn.T[:, 0]

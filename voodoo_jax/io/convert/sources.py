@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from voodoo_jax.storage.guarded import Answer
 
 FASTEST, SLOWEST = 1e6, 1e-6  # files a second
-READERS = {
-    ".bag": ("ros_bags", "convert", "types"), ".db3": ("ros_bags", "convert", "types"),
-    ".mkv": ("kinect_video", "convert", "camera"),
-    ".json": ("skeletons", "convert"), ".skeleton": ("skeletons", "convert"),
-    ".csv": ("markers", "convert_table", "rate"),
-    ".c3d": ("markers", "convert_c3d"), ".trc": ("markers", "convert_trc"),
-    ".pcd": ("clouds", "convert", "rate"), ".ply": ("clouds", "convert", "rate"),
-}  # fmt: skip
-FILES = {
-    ".bag": "ROS 1 bag", ".db3": "ROS 2 bag (SQLite)", ".mkv": "Azure Kinect or Femto", ".c3d": "C3D", ".trc": "TRC",
-    ".pcd": "a point cloud", ".ply": "a point cloud", ".json": "skeletons of a Kinect, Nuitrack or ZED",
-    ".skeleton": "NTU RGB+D", ".csv": "Motive, or columns NAME_x",
-}  # fmt: skip
+# what files of each extension are; the module and function that convert one, and what it is given besides
+FILES: dict[str, tuple[str, ...]] = {
+    ".bag": ("ROS 1 bag", "ros_bags", "convert", "types"),
+    ".db3": ("ROS 2 bag (SQLite)", "ros_bags", "convert", "types"),
+    ".mkv": ("Azure Kinect or Femto", "kinect_video", "convert", "camera"),
+    ".c3d": ("C3D", "markers", "convert_c3d"),
+    ".trc": ("TRC", "markers", "convert_trc"),
+    ".pcd": ("a point cloud", "clouds", "convert", "rate"),
+    ".ply": ("a point cloud", "clouds", "convert", "rate"),
+    ".json": ("skeletons of a Kinect, Nuitrack or ZED", "skeletons", "convert"),
+    ".skeleton": ("NTU RGB+D", "skeletons", "convert"),
+    ".csv": ("Motive, or columns NAME_x", "markers", "convert_table", "rate"),
+}
 
 
 @contextmanager
@@ -151,8 +151,8 @@ def _reader(source: Path) -> tuple[str, ...]:
     except NotReadable as problem:
         raise ConvertError(f"'{source}' cannot be read: {problem}") from problem
     kind = source.suffix.lower()
-    if kind not in READERS:
-        known = ", ".join(f"{name} ({end})" for end, name in FILES.items())
+    if kind not in FILES:
+        known = ", ".join(f"{name} ({end})" for end, (name, *_) in FILES.items())
         known += ", folders of a ROS 2 bag, of depth images (PNG) or of point clouds (PCD, PLY)"
         raise ConvertError(f"'{source}': unsupported file; supported are {known}")
-    return READERS[kind]
+    return FILES[kind][1:]

@@ -1,6 +1,5 @@
 """Robot descriptions (URDF) as bodies. The format: wiki.ros.org/urdf/XML."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -85,10 +84,8 @@ def _body_of(root: ElementTree.Element, path: Path, rest: dict[str, float], leas
         for element in root.findall("link")
         if element.attrib["name"] in places
     }
-    tree = _Tree(joints, surfaces, least, notes)
-    tree.add(
-        roots[0], -1, [], lambda link, above, between: _piece(link, above, between, surfaces[link], (places, values))
-    )
+    tree = _Tree(joints, surfaces, (places, values), least, notes)
+    tree.add(roots[0], -1, [])
     if not len(tree.pieces[0].points):
         raise BodyFileError(str(path), None, f"the root '{roots[0]}' has no surface; {'; '.join(notes)}".rstrip("; "))
     body, more = assembled(tree.pieces, root.attrib.get("name", path.stem), "reach", str(path))
@@ -215,18 +212,16 @@ def _file(name: str, path: Path) -> Path:
 class _Tree:
     """Links that move on their own and are visible, parents first; others are merged with their parent."""
 
-    def __init__(self, joints: list[_Joint], surfaces: dict[str, _Link], least: float, notes: list[str]):
-        self.joints, self.surfaces, self.least, self.notes = joints, surfaces, least, notes
+    def __init__(self, joints: list[_Joint], surfaces: dict[str, _Link], found: _Found, least: float, notes: list[str]):
+        self.joints, self.surfaces, self.found, self.least, self.notes = joints, surfaces, found, least, notes
         self.pieces: list[Piece] = []
 
-    def add(
-        self, link: str, above: int, between: list[_Joint], make: Callable[[str, int, list[_Joint]], Piece]
-    ) -> None:
+    def add(self, link: str, above: int, between: list[_Joint]) -> None:
         """Adds a link and all its descendants; `above`: the piece before it, `between`: the joints that turn it
         there."""
         surface = self.surfaces[link]
         if above < 0 or (between and surface.extent >= self.least):
-            self.pieces.append(make(link, above, between))
+            self.pieces.append(_piece(link, above, between, surface, self.found))
             above, between = len(self.pieces) - 1, []
         elif len(surface.points):
             old = self.pieces[above]
@@ -238,7 +233,7 @@ class _Tree:
                 if joint.kind == SLIDING:
                     self.notes.append(f"'{joint.name}' is prismatic: it keeps its rest pose, as limbs cannot slide")
                 turns = [joint] if joint.kind not in (RIGID, SLIDING) else []
-                self.add(joint.child, above, [*between, *turns], make)
+                self.add(joint.child, above, [*between, *turns])
 
 
 def _piece(link: str, above: int, between: list[_Joint], surface: _Link, found: _Found) -> Piece:
