@@ -5,15 +5,13 @@ The rest pose is aligned with the points by consensus (random samples of three).
 joint, from the root outwards, to its own points and those of its children. Wrong names are outvoted.
 """
 
-from collections import defaultdict
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.landmarks import named_points
-from voodoo_jax.model.body import Body, Topology, tree_order
+from voodoo_jax.model.body import Body, tree_levels
 
 TO_START = 6  # named points of known places in a frame to start from
 
@@ -104,7 +102,7 @@ def first_poses(
     on_parent, on_child = (np.asarray(a.translation, np.float64) for a in (body.parent_anchor, body.child_anchor))
     mine = 1.0 * (limb == children[:, None])  # [joint, point]: on the joint's child
     own = mine + 0.15 * (parents == children[:, None]) @ mine  # and, weakly, on the limbs that hang on that
-    for joints in _levels(t):
+    for joints in tree_levels(t):
         p, c = parents[joints], children[joints]
         at = f * (np.einsum("jab,jb->ja", rest_turn[p], on_parent[joints]) + rest_at[p])
         placed = np.einsum("fjab,fjb->fja", turns[:, p] @ rest_turn[p], f * on_parent[joints]) + out_at[:, p]
@@ -112,15 +110,6 @@ def first_poses(
         turns[:, c], _ = _turned(model[:, None], data[:, None], weight[:, None] * own[joints], *held, 0.02, 8.0)
         out_at[:, c] = placed - np.einsum("fjab,fjb->fja", turns[:, c] @ rest_turn[c], f * on_child[joints])
     return turns @ rest_turn, out_at, factor
-
-
-def _levels(topology: Topology) -> list[list[int]]:
-    """Joints at equal depth in the tree of limbs, from the root outwards."""
-    depth, levels = {0: 0}, defaultdict(list)
-    for j in tree_order(topology):
-        depth[topology.children[j]] = depth[topology.parents[j]] + 1
-        levels[depth[topology.children[j]]].append(j)
-    return list(levels.values())
 
 
 # 8 parameters: points, and what holds them

@@ -89,16 +89,8 @@ def of_subject(people: list[BodyObservation], named: Named) -> list[BodyObservat
     others = {n for names in named.others.values() for n in names}
     if not others:
         return people
-    out = []
-    for frame in people:
-        keep = np.array([n not in others for n in frame.pairs.names], bool)
-        if not keep.all():
-            frame = replace(frame, pairs=frame.pairs.only(keep))
-        keep = np.array([n not in others for n in frame.rays.names], bool)
-        if not keep.all():
-            frame = replace(frame, rays=frame.rays.only(keep))
-        out.append(frame)
-    return out
+    own = lambda some: some.only(np.array([n not in others for n in some.names], bool))  # noqa: E731
+    return [replace(f, pairs=own(f.pairs), rays=own(f.rays)) for f in people]
 
 
 def with_names(

@@ -74,18 +74,16 @@ class Sized(NamedTuple):
 
 def sized_by_markers(body: Body, markers: Markers, scale: float) -> Sized:
     """The body with sizes from the markers; `scale` (metres) if it is known, else 0."""
-    count = markers.seen.sum(1)
-    good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     body = scaled(body, scale) if scale > 0 else body
-    often = markers.seen.mean(0) > SELDOM * (count > 0).mean()
+    often = markers.seen.mean(0) > SELDOM * markers.seen.any(1).mean()
     if not often.all() and often.sum() >= TO_START:  # what is hardly ever there tells nothing of sizes
         k = np.flatnonzero(often)
         places = tuple(markers.places[i] for i in k) if markers.places else ()
         names = tuple(markers.names[i] for i in k)
         points, seen = markers.points[:, k], markers.seen[:, k]
         markers = Markers(names, markers.rows[k], points, seen, places, markers.newington)
-        count = markers.seen.sum(1)
-        good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
+    count = markers.seen.sum(1)
+    good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     if not len(good):
         return Sized(body, [], False)
     some = good[spread(len(good), FRAMES)]

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -16,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import Change, SettingsError
 from voodoo_jax.geometry.rigid import Poses, compose, inverse
-from voodoo_jax.model.body import Body, Topology, scaled, tree_order, with_rest_from_joints
+from voodoo_jax.model.body import Body, scaled, tree_order, with_rest_from_joints
 from voodoo_jax.model.body_file import load_body
 
 
@@ -51,11 +52,13 @@ def attach(
     held = Poses(jnp.array([1.0, 0, 0, 0]), jnp.asarray(grip, jnp.float32))
     root = compose(compose(body.rest[carrier], anchor), inverse(held))
     rest = compose(root[None], compose(inverse(thing.rest[:1]), thing.rest))
-    more = lambda a, *others: jnp.concatenate([a, *(jnp.asarray(o, a.dtype) for o in others)])  # noqa: E731
-    poses = lambda a, *others: Poses(  # noqa: E731
-        more(a.rotation, *(o.rotation for o in others)), more(a.translation, *(o.translation for o in others))
-    )
-    topology = Topology(
+    joint = {
+        "parent_anchor": anchor[None], "child_anchor": held[None], "axes": jnp.asarray([joint_axes]),
+        "weights": jnp.asarray([weight]), "limits": jnp.full((1, 3, 2), jnp.inf) * jnp.array([-1.0, 1.0]),
+    }  # fmt: skip
+    parts = {name: [getattr(body, name), own, getattr(thing, name)] for name, own in joint.items()}
+    parts |= {name: [getattr(body, name), getattr(thing, name)] for name in ("sizes", "centres", "sites", "presence")}
+    topology = b._replace(
         limbs=b.limbs + t.limbs,
         joints=(*b.joints, f"{t.limbs[0]}_grip", *t.joints),
         parents=(*b.parents, carrier, *(p + n for p in t.parents)),
@@ -64,26 +67,11 @@ def attach(
         centre_limbs=b.centre_limbs + tuple(i + n for i in t.centre_limbs),
         sites=b.sites + t.sites,
         site_limbs=b.site_limbs + tuple(i + n for i in t.site_limbs),
-        segments=b.segments,
         held=b.held + tuple(range(n, n + thing.limb_count)),
     )
-    return Body(
-        sizes=more(body.sizes, thing.sizes),
-        rest=poses(body.rest, rest),
-        parent_anchor=poses(body.parent_anchor, anchor[None], thing.parent_anchor),
-        child_anchor=poses(body.child_anchor, held[None], thing.child_anchor),
-        axes=more(body.axes, jnp.asarray([joint_axes]), thing.axes),
-        weights=more(body.weights, jnp.asarray([weight]), thing.weights),
-        centres=more(body.centres, thing.centres),
-        sites=more(body.sites, thing.sites),
-        scale=body.scale,
-        limits=more(body.limits, jnp.full((1, 3, 2), jnp.inf) * jnp.array([-1.0, 1.0]), thing.limits),
-        presence=more(body.presence, thing.presence),
-        topology=topology,
-        name=body.name,
-        scale_name=body.scale_name,
-        modes=body.modes,
-    )
+    more = lambda a, *others: jnp.concatenate([a, *(jnp.asarray(o, a.dtype) for o in others)])  # noqa: E731
+    arrays = {name: jax.tree.map(more, *some) for name, some in parts.items()}
+    return replace(body, rest=jax.tree.map(more, body.rest, rest), topology=topology, **arrays)
 
 
 def _turn_to(axis: Sequence[float]):
@@ -215,20 +203,8 @@ def resized(body: Body, limb: int, sizes: Float[Array, "5"]) -> Body:
     old = body.sizes[limb]
     wide = jnp.sqrt((sizes[0] + sizes[2]) / (old[0] + old[2]) * (sizes[1] + sizes[3]) / (old[1] + old[3]))
     factor = jnp.array([1.0, 1.0, 0.0]) * wide + jnp.array([0.0, 0.0, 1.0]) * (sizes[4] / old[4])
+    points = lambda b: (b.parent_anchor.translation, b.child_anchor.translation, b.centres, b.sites)  # noqa: E731
+    mine = [jnp.array(of, int)[:, None] == limb for of in (t.parents, t.children, t.centre_limbs, t.site_limbs)]
     new = eqx.tree_at(lambda b: b.sizes, body, body.sizes.at[limb].set(sizes))
-
-    def follow(points, limbs):
-        mine = jnp.array([i == limb for i in limbs], bool)
-        return jnp.where(mine[:, None], points * factor, points)
-
-    new = eqx.tree_at(
-        lambda b: (b.parent_anchor.translation, b.child_anchor.translation, b.centres, b.sites),
-        new,
-        (
-            follow(body.parent_anchor.translation, t.parents),
-            follow(body.child_anchor.translation, t.children),
-            follow(body.centres, t.centre_limbs),
-            follow(body.sites, t.site_limbs),
-        ),
-    )
+    new = eqx.tree_at(points, new, [jnp.where(on, at * factor, at) for on, at in zip(mine, points(body))])
     return with_rest_from_joints(new)

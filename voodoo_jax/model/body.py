@@ -127,14 +127,19 @@ def without_side(name: str) -> str:
     return name[2:] if name[:2] in ("l_", "r_") else name
 
 
-def tree_order(topology: Topology) -> list[int]:
-    """Joints in an order in which a joint's parent limb comes before it; the root is limb 0."""
-    done, order = {0}, []
-    while len(order) < len(topology.joints):
+def tree_levels(topology: Topology) -> list[list[int]]:
+    """Joints by their distance from the root, limb 0, in the tree of limbs: those next to it first."""
+    done, levels = {0}, []
+    while len(done) <= len(topology.joints):
         ready = [j for j, (p, c) in enumerate(zip(topology.parents, topology.children)) if p in done and c not in done]
-        order += ready
+        levels.append(ready)
         done |= {topology.children[j] for j in ready}
-    return order
+    return levels
+
+
+def tree_order(topology: Topology) -> list[int]:
+    """Joints in an order in which a joint's parent limb comes before it."""
+    return [joint for level in tree_levels(topology) for joint in level]
 
 
 def with_rest_from_joints(body: Body) -> Body:

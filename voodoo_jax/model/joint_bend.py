@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from voodoo_jax.geometry.rigid import quat_conjugate, quat_multiply, rotate, unrotate
-from voodoo_jax.model.body import Body, Topology, tree_order
+from voodoo_jax.model.body import Body, tree_levels
 
 ROUND = 0.8  # a limb whose smaller axis is more than this share of the larger one is round
 TWISTS = 13  # of a round limb that are tried, over the range that its joint allows
@@ -32,7 +32,7 @@ def wrong_bend(body: Body, rotation: Float32[np.ndarray, "frame limb 4"]) -> Flo
     children, parents = np.array(t.children, int), np.array(t.parents, int)
     low[children], high[children] = np.where(is_round[children], np.clip(limits[:, 2].T, -np.pi, np.pi), 0.0)
     out = np.zeros((len(world), len(t.joints)))
-    for joints in _outwards(t):
+    for joints in tree_levels(t):
         parent, child = parents[joints], children[joints]
         frame = quat_multiply(world[:, parent], to_parent[joints])
         axis = rotate(quat_multiply(world[:, child], to_child[joints]), np.array([0.0, 0.0, 1.0]))
@@ -47,15 +47,6 @@ def wrong_bend(body: Body, rotation: Float32[np.ndarray, "frame limb 4"]) -> Flo
         off = np.linalg.norm(seen - np.clip(seen, limits[joints, :2, 0], limits[joints, :2, 1]), axis=-1)
         out[:, joints] = np.where(there[:, parent] & there[:, child], off.min(0), 0.0)
     return out
-
-
-def _outwards(topology: Topology) -> list[list[int]]:
-    """Joints as far from the root as each other, the nearest first."""
-    depth, levels = {0: 0}, {}
-    for joint in tree_order(topology):
-        depth[topology.children[joint]] = depth[topology.parents[joint]] + 1
-        levels.setdefault(depth[topology.children[joint]], []).append(joint)
-    return [levels[k] for k in sorted(levels)]
 
 
 def _turned(swing: Float[np.ndarray, "frame joint 2"]) -> Float[np.ndarray, "frame joint 4"]:

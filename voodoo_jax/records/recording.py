@@ -1,42 +1,47 @@
 """A sensor log as the tracker sees it: frames of measurements, stamps and sensor positions. Host side, NumPy only."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import compress
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32
 
 from voodoo_jax.records.notes import filled
 
+T = TypeVar("T", bound="NamedFeatures")
+
 
 @dataclass(frozen=True)
-class Rays:
+class NamedFeatures:
+    """Measurements of named features."""
+
+    names: tuple[str, ...] = ()  # as the log calls them: "face", "left_hand", ...
+
+    def only(self: T, keep: Bool[np.ndarray, " feature"]) -> T:
+        """Some of them; the same object where that is all."""
+        if keep.all():
+            return self
+        arrays = {k: v[keep] for k, v in vars(self).items() if k != "names" and v is not None}
+        return replace(self, names=tuple(compress(self.names, keep)), **arrays)
+
+
+@dataclass(frozen=True)
+class Rays(NamedFeatures):
     """2D features (`ray` measurements of Knoop 2007, sec. 5.1): lines from a camera through a named feature."""
 
-    names: tuple[str, ...] = ()  # as the log calls the features: "face", "left_hand", ...
     origins: Float32[np.ndarray, "ray 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # metres
     directions: Float32[np.ndarray, "ray 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # unit
     weights: Float32[np.ndarray, " ray"] | None = None  # of the source, times the name's weight; None: all 1
 
-    def only(self, keep: Bool[np.ndarray, " ray"]) -> "Rays":
-        """Some of them."""
-        names = tuple(n for n, k in zip(self.names, keep) if k)
-        weights = None if self.weights is None else self.weights[keep]
-        return Rays(names, self.origins[keep], self.directions[keep], weights)
-
 
 @dataclass(frozen=True)
-class Pairs:
+class Pairs(NamedFeatures):
     """3D measurements of named features (`point` measurements): markers, wrists of another tracker."""
 
-    names: tuple[str, ...] = ()  # as the log calls them
     points: Float32[np.ndarray, "pair 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # metres
     weights: Float32[np.ndarray, " pair"] | None = None  # of the source, times the name's weight; None: all 1
-
-    def only(self, keep: Bool[np.ndarray, " pair"]) -> "Pairs":
-        """Some of them."""
-        names = tuple(n for n, k in zip(self.names, keep) if k)
-        return Pairs(names, self.points[keep], None if self.weights is None else self.weights[keep])
 
 
 # in all frames without any: an object of its own in each would be half a kilobyte

@@ -1,7 +1,8 @@
 """From frame to frame: prediction, one solve per frame, status; a recording is one scan over its frames."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import fields
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -26,10 +27,11 @@ from voodoo_jax.kernels.correspondences import MatchOptions, Points, Sampling
 from voodoo_jax.kernels.gauss_newton import tree_covariance, twist_covariance
 from voodoo_jax.kernels.joint_limits import PlausibleOptions
 from voodoo_jax.kernels.landmarks import FeatureOptions, Features, feature_sums
-from voodoo_jax.model.body import Body, Topology, tree_order
+from voodoo_jax.model.body import Body, tree_levels
 from voodoo_jax.solve.frame import solve_and_measure
 from voodoo_jax.solve.pulls import IcpOptions, Problem
 
+T = TypeVar("T", bound=eqx.Module)
 FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off
 FEW = 60  # points of which the mean tells where the body is
 SWING = 0.05  # seconds beyond prior_interval in which limbs' own motion comes to rest: they swing to and fro
@@ -85,51 +87,33 @@ def cost_of(step: Step) -> Float[AnyArray, "*frame"]:
 
 def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSettings | None = None) -> TrackOptions:
     """Traced options from settings."""
-    features = features or FeatureSettings()
-    number = lambda v: jax.device_put(np.asarray(v, np.float32))  # noqa: E731
     whole = lambda v: jax.device_put(np.asarray(v, np.int32))  # noqa: E731
-    matching = MatchOptions(
-        body_enlarge=number(solve.body_enlarge),
-        limb_enlarge=number(solve.limb_enlarge),
-        max_distance=number(solve.max_distance),
-        robust_scale=number(solve.robust_scale),
-        sampling=None
-        if solve.sampling == 1 and solve.sampling_max >= 8192
-        else Sampling(number(solve.sampling), whole(solve.sampling_min), whole(solve.sampling_max)),
-        softness=number(solve.softness),
-        overlap=solve.overlap,
-        near_side=solve.near_side,
-        refine=solve.refine,
+    every = solve.sampling == 1 and solve.sampling_max >= 8192
+    sampling = Sampling(_number(solve.sampling), whole(solve.sampling_min), whole(solve.sampling_max))
+    plausible = PlausibleOptions(
+        _number(solve.limits) if solve.limits > 0 else None,
+        _number(solve.collisions) if solve.collisions > 0 else None,
+        _number(solve.collision_margin),
     )
-    icp = IcpOptions(
-        match=matching,
-        features=FeatureOptions(number(features.robust_scale), number(features.max_distance)),
-        ratio=number(solve.ratio),
-        floor=number(solve.floor),
-        prior=number(solve.prior),
-        prior_radius=number(solve.prior_radius),
-        steady=number(solve.steady),
-        steady_distance=number(solve.steady_distance),
-        epsilon=number(solve.epsilon),
-        max_steps=whole(solve.max_steps),
-        damping=number(solve.damping),
-        stretch=number(solve.stretch),
-        plausible=PlausibleOptions(
-            number(solve.limits) if solve.limits > 0 else None,
-            number(solve.collisions) if solve.collisions > 0 else None,
-            number(solve.collision_margin),
-        ),
-        solver=solve.solver,
-    )
-    rest = track.hidden_rest if track.hidden_rest > 0 else np.inf
-    return TrackOptions(
-        icp,
-        number(track.damping),
-        number(track.prior_interval),
-        number(track.still_speed),
-        number(rest),
-        number(track.hidden_weight),
-    )
+    matching = _of(MatchOptions, solve, sampling=None if every else sampling)
+    by_features = _of(FeatureOptions, features or FeatureSettings())
+    steps = whole(solve.max_steps)
+    icp = _of(IcpOptions, solve, match=matching, features=by_features, max_steps=steps, plausible=plausible)
+    rest = _number(track.hidden_rest if track.hidden_rest > 0 else np.inf)
+    return _of(TrackOptions, track, icp=icp, hidden_rest=rest)
+
+
+def _number(value: float) -> Array:
+    return jax.device_put(np.asarray(value, np.float32))
+
+
+def _of(kind: type[T], settings: SolveSettings | TrackSettings | FeatureSettings, **own: Any) -> T:
+    """Options with the values of settings of the same names, numbers traced, beside their own."""
+    for field in fields(kind):
+        if field.name not in own and hasattr(settings, field.name):
+            value = getattr(settings, field.name)
+            own[field.name] = value if field.metadata.get("static") else _number(value)
+    return kind(**own)
 
 
 def at_rest(poses: Poses) -> State:
@@ -182,15 +166,7 @@ def _with_hidden(body: Body, options: TrackOptions, state: State, moved: Poses, 
         return jax.tree.map(lambda root, rest: jnp.concatenate([root[:1], rest]), moved, Poses(rotation, translation))
 
     # all limbs at once: those farther out come right one turn later
-    return jax.lax.fori_loop(0, _depth(t), outwards, moved)
-
-
-def _depth(topology: Topology) -> int:
-    """Largest number of joints between a limb and the root."""
-    depth = {0: 0}
-    for j in tree_order(topology):
-        depth[topology.children[j]] = depth[topology.parents[j]] + 1
-    return max(depth.values())
+    return jax.lax.fori_loop(0, len(tree_levels(t)), outwards, moved)
 
 
 def _still(body: Body, state: State, speed: Float[Array, ""]) -> Float[Array, " limb"]:

@@ -32,7 +32,7 @@ from voodoo_jax.trackers.base import Task
 from voodoo_jax.trackers.icp.misfit import AROUND, body_distance, evenly
 from voodoo_jax.trackers.icp.reflections import IMAGE, reflected
 from voodoo_jax.trackers.icp.runner import LONG, Runner
-from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
+from voodoo_jax.trackers.icp.tracker import placed, track_poses, with_rating
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 # metres from a person's points within which a line of sight meets them: a detector's error at 3 m. 0.067 and 0.15 give
@@ -59,7 +59,7 @@ def with_own_features(subjects: list[Subject]) -> list[Subject]:
             continue
         of_pairs, of_rays = owners_of_pairs(seen[0].pairs, seen), owners_of_rays(seen[0].rays, seen)
         for k, own in enumerate(seen):
-            frames[k][at] = replace(own, pairs=_some(own.pairs, of_pairs == k), rays=_some(own.rays, of_rays == k))
+            frames[k][at] = replace(own, pairs=own.pairs.only(of_pairs == k), rays=own.rays.only(of_rays == k))
     return [replace(s, frames=own) for s, own in zip(subjects, frames)]
 
 
@@ -89,14 +89,6 @@ def _in_the_way(rays: Rays, seen: BodyObservation) -> Float[np.ndarray, " ray"]:
 
 def _least(values: np.ndarray) -> float:
     return float(np.min(values, initial=1e9))
-
-
-def _some(features, keep: np.ndarray):
-    """Pairs or rays, those to keep; the same object where that is all of them."""
-    if keep.all():
-        return features
-    arrays = {k: v[keep] for k, v in vars(features).items() if k != "names" and v is not None}  # weights may be None
-    return replace(features, names=tuple(n for n, k in zip(features.names, keep) if k), **arrays)
 
 
 @dataclass
@@ -209,7 +201,7 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
     begins = [in_view_from(s) if several else 0 for s in subjects]
     # recordings that are one batch wait for each other
     each = at_once if visit is None else lambda work, some: [work(one) for one in some]
-    people = each(_tracked, [(task, s, begin) for s, begin in zip(subjects, begins)])
+    people = each(lambda work: track_poses(task, *work), list(zip(subjects, begins)))
     if shares and not settings.changes:
         seen = each(lambda one: with_rating(one.run, one.tracks), people)
         touching = touching_in(subjects, seen, close_in(seen))
@@ -217,9 +209,10 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
         anew = np.flatnonzero(_exchanged(subjects, frames)).tolist()
         subjects = [replace(s, frames=own) for s, own in zip(subjects, frames)]
         silent = replace(task, progress=None)
-        now = each(_tracked, [(silent, subjects[k], in_view_from(subjects[k])) for k in anew])
-        for k, one in zip(anew, now):
-            people[k] = _again(one, people[k])
+        now = each(lambda s: track_poses(silent, s, in_view_from(s)), [subjects[k] for k in anew])
+        for k, one in zip(anew, now):  # with the time of both passes
+            both = one.tracks.seconds + people[k].tracks.seconds
+            people[k] = one._replace(tracks=replace(one.tracks, seconds=both))
     found = each(placed, people)
     if several:
         found = [replace(t, status=_doubted(s, t.status)) for s, t in zip(subjects, found)]
@@ -230,10 +223,6 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
     return [
         replace(t, person=0 if k in images else s.number, people=many) for k, (s, t) in enumerate(zip(subjects, found))
     ]
-
-
-def _tracked(work: tuple[Task, Subject, int]) -> Unplaced:
-    return track_poses(*work)
 
 
 def main_first(found: list[Tracks]) -> list[int]:
@@ -251,11 +240,6 @@ def held(frames: list[BodyObservation], count: int, interval: float) -> list[Bod
     # measured: a person with arms stretched out 12.6 -> 6.6 cm beside copies at 30 Hz
     step = round(LONG * interval * 1e9)
     return [replace(f, time_ns=f.time_ns - k * step) for f in frames[:1] for k in range(count, 0, -1)] + frames
-
-
-def _again(now: Unplaced, before: Unplaced) -> Unplaced:
-    """A person tracked again, with the time of both passes."""
-    return now._replace(tracks=replace(now.tracks, seconds=now.tracks.seconds + before.tracks.seconds))
 
 
 def _doubted(subject: Subject, status: Int8[np.ndarray, " frame"]) -> Int8[np.ndarray, " frame"]:
