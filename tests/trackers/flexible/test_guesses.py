@@ -70,7 +70,8 @@ def test_an_ankle_that_nothing_shows_is_where_the_eye_sees_it():
     for body in (REST, REST[OTHER_SIDE]):
         own, error, log = sided(guess, jnp.asarray(body))
         seen = blind._replace(guess=own[LIMBS[2]], error=error[LIMBS[2]])
-        weight = log_weight(limb_score(tuple(map(vectors, leg)), seen, view(0.0), NUMBERS.weighing), NUMBERS.weighing)
+        points = vectors(leg[0]), vectors(leg[1]), vectors(leg[2])
+        weight = log_weight(limb_score(points, seen, view(0.0), NUMBERS.weighing), NUMBERS.weighing)
         np.testing.assert_allclose(own, body, atol=1e-6)
         np.testing.assert_allclose(log, -np.logaddexp(0, -3 if body is REST else 3), rtol=1e-5)
         assert body is not REST or weight[0] > weight[1] + 1
