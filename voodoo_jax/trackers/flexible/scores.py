@@ -174,6 +174,7 @@ class Guess(NamedTuple):
     odds: Float[Any, ""]  # logarithm of the odds that left and right are so, by all frames so far
 
 
+# of a frame in which the eye sees nobody: the place decides nothing, any gives the same
 NO_GUESS = Guess(np.zeros((16, 3), np.float32), np.full(16, np.inf, np.float32), np.float32(0))
 
 
