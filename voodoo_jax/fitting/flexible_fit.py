@@ -50,7 +50,7 @@ from voodoo_jax.trackers.flexible.filters import clothed, refined
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMB_NAMES, POINTS, FlexibleBody, flexible_body
 from voodoo_jax.trackers.flexible.poses import centres_of
 from voodoo_jax.trackers.flexible.tracker import Followed, Observed, chosen_points, followed, looks, numbers, observe
-from voodoo_jax.trackers.flexible.vectors import vectors
+from voodoo_jax.trackers.flexible.vectors import least, vectors
 
 ROUNDS = 16  # rounds of refinement: twice those of tracking, since sizes change during the fit; by hand
 PART_LIMBS = (*LIMB_NAMES, "head", "chest", "pelvis")  # limb of a person's body for each part of the flexible body
@@ -92,7 +92,7 @@ def frame_residuals(
         gap = jnp.where(frame.known[:, None], at - frame.truth, 0.0)
         return (as_distances(gap) / JOINT_SD).reshape(-1)
     off = surface_distance(body, x, vectors(frame.points))
-    best = jnp.argmin(jax.lax.stop_gradient(jnp.abs(off) + clothed(body, frame.bare)), 0)
+    best = least(jax.lax.stop_gradient(jnp.abs(off) + clothed(body, frame.bare)))
     off = jnp.take_along_axis(off, best[None], 0)[0]
     count = jax.ops.segment_sum(frame.held, best, PARTS)
     share = jnp.sqrt((PER_LIMB * frame.news / (count + FEW))[best] * frame.held)

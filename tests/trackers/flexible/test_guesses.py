@@ -1,10 +1,13 @@
 """The body in single frames, as the learned eye sees it, and hypotheses that begin anew from there."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import voodoo_jax as vj
 from tests.support.waving import SMALL, waving_log
+from tests.trackers.flexible.test_scores import NUMBERS, context, view
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.log_reader import read_log
@@ -12,7 +15,9 @@ from voodoo_jax.kernels.eye import JOINTS, OTHER
 from voodoo_jax.model.body import joint_centres
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.flexible import guesses, tracker
-from voodoo_jax.trackers.flexible.flexible_body import CENTRES, OTHER_SIDE, POINTS, flexible_body
+from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, OTHER_SIDE, POINTS, flexible_body
+from voodoo_jax.trackers.flexible.scores import Guess, limb_score, log_weight, sided
+from voodoo_jax.trackers.flexible.vectors import vectors
 from voodoo_jax.trackers.shared.eye import Seen
 
 NOBODY = BodyObservation(0, np.zeros((0, 3), np.float32), np.zeros(0, int), np.zeros((1, 3), np.float32))
@@ -32,7 +37,7 @@ def looked(monkeypatch: pytest.MonkeyPatch, each: list[Seen | None]) -> dict[int
     found = guesses.Guesses(REST)
     for row in range(len(each)):
         found.look(row, NOBODY, FLOOR)
-    return found.place
+    return {row: guess.x for row, guess in found.place.items()}
 
 
 def test_points_are_where_the_joints_are(monkeypatch):
@@ -54,6 +59,22 @@ def test_one_frame_that_is_taken_for_its_back_does_not_turn_the_body(monkeypatch
 
 def test_what_the_eye_is_not_sure_of_is_no_guess(monkeypatch):
     assert list(looked(monkeypatch, [said((5, 0, 0)), said((5, 0, 0), spread=1.0), None])) == [0]
+
+
+def test_an_ankle_that_nothing_shows_is_where_the_eye_sees_it():
+    """A leg folded behind itself costs no more than a straight one by what is seen of it."""
+    guess = jax.tree.map(jnp.asarray, Guess(REST, np.full(16, 0.08, np.float32), np.float32(3)))
+    leg = np.repeat(REST[LIMBS[2], None], 2, 1)
+    leg[2, 1] = leg[1, 0] + 0.9 * (leg[0, 0] - leg[1, 0]) - [0.1, 0, 0]
+    blind = context((0.0, 0.0, 0.0), np.zeros((4, 3)))
+    for body in (REST, REST[OTHER_SIDE]):
+        own, error, log = sided(guess, jnp.asarray(body))
+        seen = blind._replace(guess=own[LIMBS[2]], error=error[LIMBS[2]])
+        points = vectors(leg[0]), vectors(leg[1]), vectors(leg[2])
+        weight = log_weight(limb_score(points, seen, view(0.0), NUMBERS.weighing), NUMBERS.weighing)
+        np.testing.assert_allclose(own, body, atol=1e-6)
+        np.testing.assert_allclose(log, -np.logaddexp(0, -3 if body is REST else 3), rtol=1e-5)
+        assert body is not REST or weight[0] > weight[1] + 1
 
 
 def test_what_begins_turned_round_is_found_again(tmp_path, monkeypatch):

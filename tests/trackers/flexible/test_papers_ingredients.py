@@ -16,6 +16,7 @@ from voodoo_jax.trackers.flexible.flexible_body import HEAD, LIMBS, flexible_bod
 from voodoo_jax.trackers.flexible.image_features import Extractor
 from voodoo_jax.trackers.flexible.physics import frames, limb_spaces, relax, verlet
 from voodoo_jax.trackers.flexible.scores import (
+    NO_GUESS,
     LimbContext,
     View,
     expected,
@@ -49,7 +50,7 @@ def given(head=BODY.rest[HEAD], head_seen: float = 1.0, learning: float = 0.0, *
     what = Inputs(
         seen_by_camera(**more), np.zeros((4, 3), np.float32), none, none, np.asarray(head, np.float32),
         np.float32(head_seen), UP, np.float32(0.1), np.int32(0), np.float32(learning) + no, np.bool_(True),
-        np.zeros((16, 3), np.float32), no,
+        NO_GUESS,
     )  # fmt: skip
     return jax.tree.map(jnp.asarray, what)
 

@@ -18,7 +18,7 @@ WEIGHING = numbers(FlexibleSettings()).weighing
 def seen(x: np.ndarray, surface: float = 0.5, explained: float = 0.9) -> Seen:
     part, limb = np.zeros((FRAMES, 15)), np.full((FRAMES, 4), 0.5)
     of = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
-    score = Score(of(limb), of(np.full((FRAMES, 4), surface)), of(limb), of(0.1 * limb), of(limb))
+    score = Score(of(limb), of(np.full((FRAMES, 4), surface)), of(limb), of(0.1 * limb), of(limb), of(0 * limb))
     return Seen(
         of(x), of(np.full((FRAMES, 4, 3), 0.02)), of(np.ones((FRAMES, 16))), score, of(np.full(FRAMES, explained)),
         of(np.full(FRAMES, 0.02)), of(part), of(part), of(np.zeros(FRAMES)), of(np.zeros((FRAMES, 16))),

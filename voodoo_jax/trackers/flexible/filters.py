@@ -2,7 +2,6 @@
 al. 2009, sec. III), then measured points pull the body's surface onto them. Compiled.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -37,11 +36,12 @@ from voodoo_jax.trackers.flexible.scores import (
     occlusion,
     project,
     read,
+    sided,
     systematic,
     worthwhile,
 )
 from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
-from voodoo_jax.trackers.flexible.vectors import Vector, kept, vectors
+from voodoo_jax.trackers.flexible.vectors import Vector, kept, least, vectors
 from voodoo_jax.trackers.shared.confidence import EXPLAINED
 
 _SWEEPS = 3  # over a particle's constraints, and over springs after each pull; more change little; by hand
@@ -89,7 +89,7 @@ def track_chunk(
 def _blank_results(count: int, dtype: Any) -> Seen:
     """The result of a padding frame; written out, since jax.eval_shape of `frame` would trace it twice."""
     none = lambda *shape: jnp.zeros((count, *shape), dtype)  # noqa: E731
-    score = Score(none(4), none(4), none(4), none(4), none(4))
+    score = Score(*[none(4)] * len(Score._fields))
     return Seen(
         none(16, 3), none(4, 3), none(16), score, none(), none(), none(PARTS), none(PARTS), none(), none(16),
         jnp.zeros(count, jnp.int32), none(),
@@ -113,8 +113,9 @@ def hypotheses(
     begin = lambda old, new: jnp.where(anew.reshape(-1, *[1] * (old.ndim - 1)) > 0, new, old)  # noqa: E731
     if count > 1:  # a single one, as in the paper, neither turns nor restarts
         ahead = jax.vmap(turned_body)(states, given.dt * (angle[:, None] * given.up + lean))
-        anew = given.guessed * jnp.asarray(np.arange(count) == count - 1, states.x.dtype)
-        fresh = start(jax.random.fold_in(keys[1], count), body, given.guess, shape)
+        last = np.arange(count) == count - 1
+        anew = jnp.where(last & (given.guess.error[HEAD] < jnp.inf), jnp.ones((), states.x.dtype), 0)
+        fresh = start(jax.random.fold_in(keys[1], count), body, given.guess.x, shape)
         ahead = jax.tree.map(begin, ahead, fresh._replace(colours=states.colours, learnt=states.learnt))
     run = lambda state, key: frame(body, state, given, key, n, shape)  # noqa: E731
     after, seen = jax.vmap(run)(ahead, jax.random.split(keys[2], count))
@@ -243,7 +244,7 @@ def settled(
 def _build_context(
     body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: Inputs, shape: Shape
 ) -> LimbContext:
-    hidden = occlusion(body, x, given.view)
+    hidden, (guess, error, _) = occlusion(body, x, given.view), sided(given.guess, x)
     used = len(given.points) if shape.points else 0
     if shape.points:
         d = jnp.abs(surface_distance(body, x, vectors(given.points))) + clothed(body, given.bare)
@@ -257,7 +258,7 @@ def _build_context(
         hidden, state.colours, state.learnt, each(given.points[:used]), others, (given.share * more)[:, :used],
         jnp.zeros((4, 2)), each(frames(x).lower[0]),
         jnp.asarray(IS_ARM, x.dtype), body.radii, body.tips, each(jnp.append(x[HEAD], _FACE * body.stature)),
-        tuple(occlusion(body, x, view) for view in given.view.more),
+        guess[LIMBS], error[LIMBS], tuple(occlusion(body, x, view) for view in given.view.more),
     )  # fmt: skip
 
 
@@ -351,7 +352,7 @@ def pulled(
     """The body's points after measured points have pulled the nearest axes and patches."""
     q = vectors(points)
     distance = jnp.abs(surface_distance(body, x, q)) + (0.0 if bare is None else clothed(body, bare))
-    best = kept(body.stature > 0, partial(jnp.argmin, axis=0), lax.stop_gradient(distance))
+    best = least(lax.stop_gradient(distance))
     near = nearest_places(body, x, q, best)
     d = near.distance
     use = share * (jnp.abs(d) < _REACH) / (1 + (d / 0.08) ** 2)
@@ -371,13 +372,13 @@ def _summarise(
     limb = jax.vmap(limb_score, (1, 0, None, None))
     score = jax.tree.map(lambda a: a[:, 0], limb((one, two, three), context, given.view, n.weighing))
     d = jnp.abs(surface_distance(body, x, vectors(given.points)))
-    best, nearest = jnp.argmin(d, 0), jnp.min(d, 0)
+    best, nearest = least(d), jnp.min(d, 0)
     near = given.share * (nearest < EXPLAINED)
     total = jnp.maximum(jnp.sum(given.share), 1e-6)
     residual = jnp.sqrt(jnp.sum(near * nearest**2) / jnp.maximum(jnp.sum(near), 1e-6))
-    mine = jax.nn.one_hot(best, PARTS) * given.share[:, None]
-    support = mine.sum(0)
-    off = jnp.sqrt((mine * nearest[:, None] ** 2).sum(0) / jnp.maximum(support, 1e-6))
+    mine = jnp.where(best == np.arange(PARTS)[:, None], given.share, 0.0)
+    support = mine.sum(1)
+    off = jnp.sqrt((mine * nearest**2).sum(1) / jnp.maximum(support, 1e-6))
     cap, bare = n.weighing.cap, jnp.min(d + clothed(body, given.bare), 0)
     far = jnp.sum(given.share * (jnp.minimum(bare, cap) / cap) ** 2) / total
     image = jnp.sum(log_weight(score._replace(points=jnp.zeros(4)), n.weighing))
@@ -385,7 +386,7 @@ def _summarise(
     toward = level(-given.view.shift @ given.view.turn - x[NECK])
     facing = jnp.sum(level(frames(x).upper[0]) * toward)
     fit = image - len(LIMBS) * n.weighing.points * far + _FRONT * given.head_seen * jnp.minimum(facing, 0.0)
-    explained = jnp.sum(near) / total
+    fit, explained = fit + sided(given.guess, x)[2], jnp.sum(near) / total
     return Seen(
         x, spread, masses, score, explained, residual, support, off, fit, jnp.zeros(16), jnp.int32(0), jnp.zeros(())
     )

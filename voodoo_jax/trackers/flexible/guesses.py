@@ -4,17 +4,17 @@ Host side.
 """
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.kernels.eye import JOINTS
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
+from voodoo_jax.trackers.flexible.scores import COUNTS, Guess
 from voodoo_jax.trackers.shared.eye import SURE, seen
 
-# weight of a frame's logarithm of the odds of the facing, since errors of frames are correlated, and concentration of
-# the change of facing between frames (von Mises): chosen on half of experiments/stereo
-_COUNTS, _STEADY = 0.5, 6.0
+# concentration of the change of facing between frames (von Mises): chosen on half of experiments/stereo
+_STEADY = 6.0
 _AT = {name: i for i, name in enumerate(POINTS)}
 _NAMED = [_AT[point] for point in CENTRES]
 _FROM = [JOINTS.index(centre) for centre in CENTRES.values()]
@@ -28,7 +28,7 @@ class Guesses:
     """
 
     def __init__(self, rest: Float[np.ndarray, "16 3"]):
-        self.place: dict[int, Float32[np.ndarray, "16 3"]] = {}  # by row; absent: the eye is not sure
+        self.place: dict[int, Guess] = {}  # by row; absent: the eye is not sure
         hip, waist, shoulder = (float(rest[_AT[f"l_{name}"], 2]) for name in ("hip", "waist", "shoulder"))
         self._waist = (waist - hip) / (shoulder - hip)
         self._odds, self._front = 0.0, np.zeros(3)  # in the last frame: odds of the eye's left and right; its front
@@ -42,14 +42,14 @@ class Guesses:
         odds = float(np.linalg.norm(found.front))
         front = found.front / max(odds, 1e-6)
         alike, before = _STEADY * float(front @ self._front), self._odds
-        self._odds = _COUNTS * odds + float(
+        self._odds = COUNTS * odds + float(
             np.logaddexp(before + alike, -alike) - np.logaddexp(before - alike, alike)
         )  # a step of the forward algorithm for two states
         self._front = front
-        joints = (found if self._odds >= 0 else found.exchanged).joints
-        x = np.zeros((len(POINTS), 3), np.float32)
-        x[_NAMED] = joints[_FROM]
+        found = found if self._odds >= 0 else found.exchanged
+        x, error = np.zeros((len(POINTS), 3), np.float32), np.full(len(POINTS), np.inf, np.float32)
+        x[_NAMED], error[_NAMED] = found.joints[_FROM], found.spread[_FROM]
         for side in "lr":
             hip, shoulder = x[_AT[f"{side}_hip"]], x[_AT[f"{side}_shoulder"]]
             x[_AT[f"{side}_waist"]] = hip + self._waist * (shoulder - hip)
-        self.place[row] = x
+        self.place[row] = Guess(x, error, np.float32(abs(self._odds)))

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.trackers.flexible.scores import Score, View, Weighing
+from voodoo_jax.trackers.flexible.scores import Guess, Score, View, Weighing
 
 
 class Shape(NamedTuple):
@@ -64,8 +64,7 @@ class Inputs(NamedTuple):
     index: Int[Any, ""]
     learn: Float[Any, ""]  # weight of the image for the reference colours; 0: none
     valid: Bool[Any, ""]  # False: padding
-    guess: Float[Any, "16 3"]  # the body guessed from this frame alone, metres
-    guessed: Float[Any, ""]  # 0 or 1
+    guess: Guess
 
 
 class Seen(NamedTuple):

@@ -38,7 +38,7 @@ from voodoo_jax.trackers.flexible.image_features import SkinModel
 from voodoo_jax.trackers.flexible.observed import Observed, chosen_points, looks, observe, uses_dense, view_of
 from voodoo_jax.trackers.flexible.physics import NO_FLOOR
 from voodoo_jax.trackers.flexible.poses import centres_of, limb_poses
-from voodoo_jax.trackers.flexible.scores import Weighing, log_weight
+from voodoo_jax.trackers.flexible.scores import NO_GUESS, Weighing, log_weight
 from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
 from voodoo_jax.trackers.shared.leftovers import FURNITURE_NOTE, Leftovers
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
@@ -285,7 +285,7 @@ def finished(on: Begun, nobody: Tracks, found: Seen, settings: Settings) -> Trac
 
 # 6 parameters: the sources of a chunk of frames
 def _build_inputs(on: Begun, seen: Observed, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
-    rows, heads, skin, none = [], on.heads, on.skin, np.zeros((16, 3), np.float32)
+    rows, heads, skin = [], on.heads, on.skin
     guesses = on.guesses.place if on.guesses is not None else {}
     for k, i in enumerate(at):
         views = looks(seen, i, s, skin)
@@ -296,7 +296,7 @@ def _build_inputs(on: Begun, seen: Observed, at: list[int], s: FlexibleSettings,
             view._replace(more=tuple(more)), points, share, bare, heads.place.get(i, np.zeros(3, np.float32)),
             np.float32(float(i in heads.place)), up, np.float32(min(dt, 0.2)), np.asarray(i, np.int32),
             np.float32(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
-            guesses.get(i, none), np.float32(float(i in guesses)),
+            guesses.get(i, NO_GUESS),
         ))  # fmt: skip
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 TINY = 1e-9  # square metres: float32 has no smaller distances here
 
@@ -88,6 +89,12 @@ def vectors(v: Float[Any, "*b 3"]) -> Vector:
 def turned(rows: Float[Any, "3 3"], v: Vector) -> Vector:
     """Vectors multiplied by a matrix, given by its rows."""
     return vector(*(v.x * rows[i, 0] + v.y * rows[i, 1] + v.z * rows[i, 2] for i in range(3)))
+
+
+def least(value: Float[Array, "of *n"]) -> Int[Array, "*n"]:
+    """As argmin along the first axis, which XLA for CPUs computes number by number (measured: eight times slower)."""
+    number = np.arange(len(value), dtype=np.int32).reshape(-1, *[1] * (value.ndim - 1))
+    return jnp.min(jnp.where(value == jnp.min(value, 0), number, len(value) - 1), 0)
 
 
 def kept(true: Any, function: Callable[..., Any], *operands: Any) -> Any:
