@@ -1,4 +1,4 @@
-"""Estimates the body's size from the height of the points, and the likelihood of a size. Host side."""
+"""Estimates the body's size from the height of the points, and the odds of a stature. Host side."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,10 +10,14 @@ from voodoo_jax.model.body import Body, rest_height, scaled
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
-TALL, TALLER = 2.0, 0.1  # metres: stature of which hardly anybody is, and how much more makes one e times as unlikely
 # logarithms of the odds for each of a logarithm of costs: as the odds of facing had once (confidence.SURELY), fitted in
 # experiments/trust
 TELLS = 19.0
+# share of people who are children, and metres between which all statures of children are alike: medians of girls at one
+# and a half years and at fourteen (WHO child growth standards, 2006, 0.81, and growth reference, 2007,
+# doi:10.2471/BLT.07.043497, 1.60). Measured: CHILDREN times or over 1.5 moves the stature from which on a scale is
+# doubted by 2 cm at most (experiments/numbers)
+CHILDREN, SMALLEST, GROWN = 0.1, 0.8, 1.6
 FEWEST, ABOVE = 50, 1.0045  # points by which a height is measured; of the top over the points' third highest
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
 
@@ -60,15 +64,24 @@ def _spacings(frames: list[BodyObservation]) -> list[float]:
     return found
 
 
-def unlikely(body: Body) -> float:
-    """Factor on a start's cost for an unlikely size, at least 1: a body of 2.4 m may explain points as well as a
-    smaller one with an arm raised."""
-    return float(np.exp(max(0.0, float(body.scale) - TALL) / TALLER)) if body.scale_name == "stature" else 1.0
+def stature_density(stature: Float[np.ndarray, " size"], spread: float = STATURES) -> Float[np.ndarray, " size"]:
+    """Probability density of statures (metres) of grown people, with a standard deviation of `spread`, and children."""
+    small = ((stature > SMALLEST) & (stature < GROWN)) / (GROWN - SMALLEST)
+    return (1 - CHILDREN) * normal(stature - STATURE, spread) + CHILDREN * small
 
 
-def rarity(stature: float) -> float:
-    """Logarithm of the factor on a start's cost for an unusual stature (metres): as its odds say."""
-    return ((stature - STATURE) / STATURES) ** 2 / (2 * TELLS)
+def normal(off: Float[np.ndarray, " size"], spread: float) -> Float[np.ndarray, " size"]:
+    """Density of a normal distribution."""
+    return np.exp(-0.5 * (off / spread) ** 2) / (np.sqrt(2 * np.pi) * spread)
+
+
+def rarity(body: Body) -> float:
+    """Logarithm of the factor on a start's cost for an unusual stature, as its odds say: a body of 2.4 m may explain
+    points as well as a smaller one with an arm raised. 0 for other bodies than people's."""
+    if body.scale_name != "stature":
+        return 0.0
+    usual, own = stature_density(np.array([STATURE, float(body.scale)]))
+    return float(np.log(usual / own)) / TELLS
 
 
 def sized(body: Body, frames: list[BodyObservation], floor: Plane, settings: StartSettings) -> Body:

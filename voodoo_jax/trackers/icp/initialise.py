@@ -30,8 +30,7 @@ def begin(run: Runner, at: int, before: Poses | None = None) -> StartHypothesis:
     run.body, run.sized = best.body, True
     run.bodies[-1] = (run.bodies[-1][0], run.body)
     if best.frame > at:
-        rival = best.rival and best.rival._replace(poses=_followed(run, best.rival, at))
-        best = best._replace(poses=_followed(run, best, at), rival=rival)
+        best = best._replace(poses=_followed(run, best, at))
     return best._replace(frame=at)
 
 

@@ -21,11 +21,11 @@ from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs
 from voodoo_jax.trackers.icp.sequence import RecordingStage
 from voodoo_jax.trackers.icp.stage import Named, Stage
 
-# of every segment, and of each that competes with it
+# of every segment
 SETTLE: tuple[Stage, ...] = (ForwardBackward(),)
 # of every segment
 REFINE: tuple[Stage, ...] = (
-    *SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities(), FixedLag(),
+    *SETTLE, ChooseFacing(), RestartLimbs(), MendDiscontinuities(), FixedLag(),
 )  # fmt: skip
 # of the recording
 FINISH: tuple[RecordingStage, ...] = (

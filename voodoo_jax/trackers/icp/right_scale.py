@@ -18,18 +18,16 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
+from voodoo_jax.trackers.icp.body_size import normal, stature_density
+from voodoo_jax.trackers.shared.confidence import STATURES
 
 FOUND = 0.03  # metres: standard deviation of the stature that is found; measured: 2 cm in the 18 recordings
-# metres, between which all statures of children are alike: medians of girls at one and a half years and at fourteen
-# (WHO child growth standards, 2006, 0.81, and growth reference, 2007, doi:10.2471/BLT.07.043497, 1.60)
-SMALLEST, GROWN = 0.8, 1.6
-# share of people who are children; share of logs whose scale is wrong, and standard deviation of its logarithm; share
+# share of logs whose scale is wrong, and standard deviation of its logarithm; share
 # of fixed frames that stand on the floor, where transforms say how high the sensor is, how exactly it is seen there
 # (metres: 7 mm off in the recordings), and how far off other frames are; a probability of a right scale that is worth
 # no word, and no doubt. Measured (experiments/numbers): each times or over 1.5 moves the 1.98 m from which on a scale
 # is doubted by 2 cm at most (ENOUGH 0.57: 5), which is less than FOUND
-CHILDREN, WRONG, SPREAD, STANDS, LEVEL, ELSEWHERE, ENOUGH = 0.1, 0.02, 0.25, 0.7, 0.03, 0.3, 0.85
+WRONG, SPREAD, STANDS, LEVEL, ELSEWHERE, ENOUGH = 0.02, 0.25, 0.7, 0.03, 0.3, 0.85
 FACTORS = np.exp(SPREAD * np.linspace(-4, 4, 401))  # of larger ones detect/units.py knows
 
 
@@ -73,13 +71,6 @@ def _likelihood(
     factor: Float[np.ndarray, " factor"], stature: float, sensor: float, floor: float
 ) -> Float[np.ndarray, " factor"]:
     """Density of a stature and of the floor's height for a factor on distances."""
-    true = stature / factor
-    grown = _normal(true - STATURE, float(np.hypot(STATURES, FOUND)))
-    small = ((true > SMALLEST) & (true < GROWN)) / (GROWN - SMALLEST)
     off = floor - sensor * (1 - factor)
-    height = STANDS * _normal(off, LEVEL) + (1 - STANDS) * _normal(off, ELSEWHERE)
-    return ((1 - CHILDREN) * grown + CHILDREN * small) / factor * height
-
-
-def _normal(off: Float[np.ndarray, " factor"], spread: float) -> Float[np.ndarray, " factor"]:
-    return np.exp(-0.5 * (off / spread) ** 2) / (np.sqrt(2 * np.pi) * spread)
+    height = STANDS * normal(off, LEVEL) + (1 - STANDS) * normal(off, ELSEWHERE)
+    return stature_density(stature / factor, float(np.hypot(STATURES, FOUND))) / factor * height

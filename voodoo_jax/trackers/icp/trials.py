@@ -171,11 +171,3 @@ def moved(body: Body, segment: Segment) -> Float[np.ndarray, "step limb"]:
     lengths = np.asarray(body.sizes)[carries, 4]
     ends = limb_ends(segment.rotation[:, carries], segment.translation[:, carries], lengths)
     return np.max(np.linalg.norm(np.diff(ends, axis=1), axis=-1), 0)
-
-
-def opposite(body: Body, trial: Trial, near: float) -> list[int]:
-    """The best trial, and the best one with the opposite facing if it costs less than `near` times as much."""
-    cost, front = trial.cost, facing(on_host(body), trial.state.poses.rotation)
-    best = int(np.argmin(cost))
-    rivals = np.flatnonzero((front @ front[best] < 0) & (cost < near * cost[best]))
-    return [best, *rivals[np.argsort(cost[rivals])][:1].tolist()]

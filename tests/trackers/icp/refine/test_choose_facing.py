@@ -1,4 +1,4 @@
-"""Somebody who may face the camera or turn their back to it: both are tracked, and the likelier one is kept."""
+"""A person who may face the camera or not: what the learned eye sees decides, and costs without it."""
 
 from dataclasses import replace
 
@@ -6,28 +6,29 @@ import numpy as np
 import pytest
 
 from tests.support.in_front import error, in_front
-from voodoo_jax.geometry.rigid import Poses, compose, on_host
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.trackers.icp.pipeline import SETTLE
-from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing
+from voodoo_jax.trackers.icp.refine import choose_facing
+from voodoo_jax.trackers.icp.refine.choose_facing import EVERY, ChooseFacing, turned_round
 from voodoo_jax.trackers.icp.segment import forwards
 from voodoo_jax.trackers.icp.stage import refined
-from voodoo_jax.trackers.icp.start.facing_odds import gone_ahead
-from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, best_from
+from voodoo_jax.trackers.icp.trials import facing
 from voodoo_jax.trackers.shared.sequence import KnownStart
 
-BODY, COUNT = scaled(human(), 1.75), 30
+BODY, COUNT, UP = scaled(human(), 1.75), 3 * EVERY, np.array([0, 0, 1], np.float32)
 
 
 def swinging(path, nearer: float = 0.0):
-    """Somebody with feet apart who swings the arms in front of them, and comes nearer."""
+    """A person with feet apart who swings the arms in front of them, and comes nearer."""
     apart, swing = np.tile([0.12, 0.0, 0.0], (COUNT, 1)), np.zeros((COUNT, 3))
     swing[:, 1] = -0.5 - 0.4 * np.sin(6 * np.arange(COUNT) / 30)
     turns = {"l_hip": apart, "r_hip": -apart, "l_shoulder": swing, "r_shoulder": swing}
     sim, run = in_front(path, BODY, turns, COUNT, nearer)
     truth = Poses(sim.rotation, sim.translation)[0]
-    return sim, run, truth, turned_round(truth)
+    return sim, run, truth, turned_round(truth, UP)
 
 
 @pytest.fixture(scope="module")
@@ -35,90 +36,58 @@ def seen(tmp_path_factory):
     return swinging(tmp_path_factory.mktemp("seen") / "log.mcap")
 
 
-def turned_round(poses):
-    """The poses after half a turn about the vertical through the first limb."""
-    about = np.array([0.0, 0.0, 0.0, 1.0], np.float32)
-    middle = np.asarray(poses.translation[0]) * [1, 1, 0]
-    return on_host(compose(Poses(about, (2 * middle).astype(np.float32)), poses))
+def begun(run, poses):
+    """The segment tracked from some poses in the first frame."""
+    start = best_from(run, 0, BODY, [poses])._replace(poses=poses)
+    return refined(run, replace(forwards(run, poses, 0, COUNT), start=start), SETTLE)
 
 
-BLIND = ChooseFacing(SETTLE, posture=0.0, doubtful=-np.inf)  # posture tells it nothing
-
-
-def way(run, first, second, cost: float = 1.0, stage=BLIND):
-    """What becomes of a start in the first poses with a rival in the second ones that costs so much more."""
-    start = StartHypothesis(0, BODY, first, 1.0, rival=StartHypothesis(0, BODY, second, cost))
-    settled = refined(run, replace(forwards(run, first, 0, COUNT), start=start), SETTLE)
-    found = stage(run, settled)
-    return found, found.state
-
-
-def test_the_right_way_is_kept_whichever_is_first(seen):
+def test_a_body_that_began_back_to_front_is_turned_and_a_right_one_stays(seen):
     sim, run, truth, turned = seen
-    found, end = way(run, truth, turned)
-    assert end is None and error(sim, found).mean() < 0.03 and (found.facing_odds > 0.1).all()
-    found, end = way(run, turned, truth)
-    assert end is not None and error(sim, found).mean() < 0.03 and (found.facing_odds > 0.1).all()
+    right = begun(run, truth)
+    kept = ChooseFacing()(run, right)
+    assert error(sim, right).mean() < 0.03 and np.array_equal(kept.rotation, right.rotation)
+    wrong = begun(run, turned)
+    found = ChooseFacing()(run, wrong)
+    assert error(sim, wrong).mean() > 0.1 and error(sim, found).mean() < 0.03
+    assert (kept.facing_odds > 0.1).all() and (found.facing_odds > 0.1).all()
 
 
-def test_odds_are_known_of_a_start_without_a_rival_and_of_one_that_costs_far_more(seen):
-    _, run, truth, turned = seen
-    clear, _ = way(run, truth, turned, 2.0)
-    np.testing.assert_allclose(clear.facing_odds, 2 * np.log(2.0), rtol=1e-6)
-    start = StartHypothesis(0, BODY, truth, 1.0)
-    alone = ChooseFacing(SETTLE)(run, replace(forwards(run, truth, 0, COUNT), start=start))
-    assert (alone.facing_odds > clear.facing_odds).all()
-    on = ChooseFacing(SETTLE)(run, replace(forwards(run, truth, 0, COUNT), start=KnownStart(0, truth)))
-    assert np.isnan(on.facing_odds).all()  # it goes on from frames that were asked
-
-
-@pytest.mark.parametrize("nearer", [0.0, 1.2])
-def test_who_seems_to_go_backwards_is_looked_at_the_other_way_round_though_that_began_worse(tmp_path, nearer):
-    sim, run, truth, turned = swinging(tmp_path / "log.mcap", nearer)
-    found, end = way(run, turned, truth, 1.3)
-    assert (end is not None) == (nearer > 0)
-    assert (error(sim, found).mean() < 0.03) == (nearer > 0)
-    found, end = way(run, truth, turned, 1.3)
-    assert end is None and error(sim, found).mean() < 0.03
-
-
-def test_whose_posture_is_that_of_one_turned_round_is_looked_at_the_other_way_round(seen):
+def test_only_the_stretch_that_is_back_to_front_is_tracked_again(seen):
     sim, run, truth, turned = seen
-    for first, second, changes in ((turned, truth, True), (truth, turned, False)):
-        found, end = way(run, first, second, 1.3, ChooseFacing(SETTLE))
-        assert (end is not None) == changes and error(sim, found).mean() < 0.03 and (found.facing_odds > 0.1).all()
+    right, later = begun(run, truth), np.arange(COUNT) >= 2 * EVERY
+    wrong = right.spliced(0, begun(run, turned), later)
+    found = ChooseFacing()(run, wrong)
+    assert error(sim, found).mean() < 0.03
+    np.testing.assert_array_equal(found.rotation[: EVERY // 2], right.rotation[: EVERY // 2])
 
 
-def test_whose_joints_bend_the_wrong_way_is_looked_at_the_other_way_round_though_that_began_worse(tmp_path):
-    down = 0.5 - 0.5 * np.cos(np.arange(COUNT) / COUNT * 2 * np.pi)
-    knee, hip, arm = (np.outer(down, [0.0, angle, 0.0]) for angle in (1.4, -1.0, -1.4))
-    turns = {
-        f"{side}_{joint}": turn for side in "lr" for joint, turn in zip(("knee", "hip", "shoulder"), (knee, hip, arm))
-    }
-    sim, run = in_front(tmp_path / "log.mcap", BODY, turns, COUNT)
-    truth = Poses(sim.rotation, sim.translation)[0]
-    turned = turned_round(truth)
-    for cost, changes in ((1.3, True), (4.0, False)):
-        found, end = way(run, turned, truth, cost)
-        assert (end is not None) == changes and (error(sim, found).mean() < 0.03) == changes
-    found, end = way(run, truth, turned, 1.3)
-    assert end is None and error(sim, found).mean() < 0.03
+def test_without_the_eye_both_ways_are_tracked(seen, monkeypatch):
+    sim, run, truth, turned = seen
+    monkeypatch.setattr(choose_facing, "person_in", lambda run, frame: None)
+    for poses in (truth, turned):
+        found = ChooseFacing()(run, begun(run, poses))
+        assert error(sim, found).mean() < 0.03 and (found.facing_odds > 0.1).all()
+        assert (found.state is not None) == (poses is turned)  # where the following frames begin
+    on = replace(begun(run, turned), start=KnownStart(0, turned))
+    assert ChooseFacing()(run, on) is on  # it goes on from frames that were asked
 
 
-@pytest.mark.parametrize("rate", [10, 30])
-def test_going_ahead_is_counted_and_turning_is_not(rate):
-    time = np.arange(0, 3, 1 / rate)
-    place = np.zeros((len(time), BODY.limb_count, 3), np.float32)
-    place[..., 0] = (0.5 * time)[:, None]
+def test_without_the_eye_a_body_that_goes_is_taken_to_go_ahead(tmp_path):
+    _, run, truth, turned = swinging(tmp_path / "log.mcap", 1.2)
+    alike = begun(run, truth)
+    ahead, back = (
+        ChooseFacing()._rate(run, StartHypothesis(0, BODY, poses, 1.0), replace(alike, rotation=rotation))
+        for poses, rotation in ((truth, alike.rotation), (turned, np.stack([turned.rotation] * COUNT)))
+    )
+    assert ahead - back > 0.5
 
-    def gone(yaw):
-        rotation = np.zeros((len(time), BODY.limb_count, 4), np.float32)
-        rotation[..., 0], rotation[..., 3] = np.cos(yaw / 2)[:, None], np.sin(yaw / 2)[:, None]
-        return gone_ahead(BODY, time, Poses(rotation, place))
 
-    assert gone(0 * time) == pytest.approx(1.35, abs=0.05)  # but for the last third of a second
-    assert gone(0 * time + np.pi) == pytest.approx(-1.35, abs=0.05)
-    assert gone(0 * time + np.pi / 2) == pytest.approx(0, abs=1e-5)
-    assert gone(2 * np.pi * time) == 0
-    place[len(time) // 2 :] = np.nan  # lost there
-    assert 0.5 < gone(0 * time) < 0.75
+def test_half_a_turn(seen):
+    _, _, truth, turned = seen
+    ahead, behind = (np.asarray(facing(BODY, poses.rotation)) for poses in (truth, turned))
+    np.testing.assert_allclose(behind, ahead * [-1, -1, 1], atol=1e-5)
+    np.testing.assert_allclose(turned.translation[0], truth.translation[0], atol=1e-5)
+    np.testing.assert_allclose(turned.translation[:, 2], truth.translation[:, 2], atol=1e-5)
+    again = turned_round(turned, UP)
+    np.testing.assert_allclose(again.translation, truth.translation, atol=1e-5)

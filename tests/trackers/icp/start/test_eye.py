@@ -10,12 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.in_front import in_front
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.rigid import Poses, compose, on_host
+from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.kernels.eye import JOINTS
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
+from voodoo_jax.trackers.icp.refine.choose_facing import turned_round
 from voodoo_jax.trackers.icp.start import hypothesis
-from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, ahead_first, person_in, trial
+from voodoo_jax.trackers.icp.start.hypothesis import best_from, person_in, trial, turned
 from voodoo_jax.trackers.icp.trials import facing
 from voodoo_jax.trackers.shared import eye
 
@@ -104,17 +105,16 @@ def test_dogs_and_unknown_floors_are_not_looked_at(somebody):
 
 
 def test_a_start_that_is_turned_costs_more(somebody, monkeypatch):
-    """By the odds of its facing, so that its rival may be first."""
+    """By the odds of its facing."""
     _, run = somebody
-    right = trial(run, 0, BODY)
-    ahead, turn = facing(BODY, np.asarray(right.poses.rotation)[None])[0], np.diag([-1.0, -1.0, 1.0])
-    turned = compose(Poses(np.float32([0, 0, 0, 1]), np.zeros(3, np.float32)), on_host(right.poses))
-    wrong = StartHypothesis(0, BODY, turned, 1.0, rival=StartHypothesis(0, BODY, right.poses, 1.2))
-    assert np.allclose(facing(BODY, np.asarray(turned.rotation)[None])[0], turn @ ahead, atol=1e-5)
-    found = ahead_first(run, wrong)
-    assert found.poses is right.poses and found.cost == 1.2 and found.rival.poses is turned and found.rival.cost > 1.2
+    right = on_host(trial(run, 0, BODY).poses)
+    wrong = turned_round(right, run.scene.floor.normal)
+    costs = [best_from(run, 0, BODY, [poses]).cost for poses in (right, wrong)]
+    front = person_in(run, run.people[0]).front
+    assert turned(BODY, right.rotation[None], front) == 1 and turned(BODY, wrong.rotation[None], front) > 2
     monkeypatch.setattr(hypothesis, "person_in", lambda run, frame: None)
-    assert ahead_first(run, wrong) is wrong
+    plain = [best_from(run, 0, BODY, [poses]).cost for poses in (right, wrong)]
+    assert costs[0] == pytest.approx(plain[0]) and costs[1] > 1.5 * plain[1]
 
 
 def test_processes_and_threads_say_the_same_to_the_last_bit():

@@ -51,7 +51,7 @@ def test_who_sat_before_the_chair_was_taken_away_sits(session, monkeypatch):
         if rest is None:
             return StartHypothesis(at, body, body.rest, 10e-4)
         sits = centre(rest, "l_knee")[0] > centre(rest, "l_hip")[0] + 0.2
-        return StartHypothesis(at, rest, rest.rest, 11e-4 if sits else 9e-4)
+        return StartHypothesis(at, body, rest.rest, 11e-4 if sits else 9e-4)
 
     for module in ("initialise", "start.other_stances"):
         monkeypatch.setattr(f"voodoo_jax.trackers.icp.{module}.trial", trial)
@@ -59,7 +59,7 @@ def test_who_sat_before_the_chair_was_taken_away_sits(session, monkeypatch):
     run.stances = {}
     assert begin(run, 0).cost == 10e-4 and run.stances == {}
     run = session()
-    run.stances = {0: STANCES[-1]}
+    run.stances, run.sized = {0: STANCES[-1]}, True  # else the size counts, too
     assert begin(run, 0).cost == 11e-4 and run.stances == {0: STANCES[-1]}
 
 

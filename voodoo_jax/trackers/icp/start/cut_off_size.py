@@ -10,7 +10,6 @@ from typing import ClassVar
 import numpy as np
 
 from voodoo_jax.model.body import scaled
-from voodoo_jax.trackers.icp.body_size import rarity
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.start.hypothesis import HIDDEN, lowest, trial
 from voodoo_jax.trackers.icp.start.stage import Search
@@ -36,11 +35,11 @@ class CutOffSize:
         usual = abs(float(best.body.scale) - STATURE) < max(self.sizes) * STATURES
         if known or usual or lowest(run, run.people[best.frame]) < HIDDEN:
             return search
-        found = [(best.cost * np.exp(rarity(float(best.body.scale))), scene, best)]
+        found = [(best.cost, scene, best)]
         for size in STATURE + STATURES * np.array(self.sizes):
             deeper = float(size) - float(best.body.scale)
             run.scene = replace(scene, floor=replace(scene.floor, offset=scene.floor.offset - deeper))
             tried = trial(run, best.frame, scaled(run.body, float(size)))
-            found.append((tried.cost * np.exp(rarity(float(size))), run.scene, tried))
+            found.append((tried.cost, run.scene, tried))
         _, run.scene, best = min(found, key=lambda each: each[0])
         return search._replace(best=best, found=(best,))

@@ -11,16 +11,13 @@ from voodoo_jax.config.options import DetectSettings, StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.trackers.icp.body_size import sized, unlikely
+from voodoo_jax.trackers.icp.body_size import rarity, sized
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.trials import facing, opposite, standing_places
+from voodoo_jax.trackers.icp.trials import facing, standing_places
 from voodoo_jax.trackers.shared.eye import Seen, poses_of, seen
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
-# a start facing the other way is a rival if its cost is below this multiple of the best; by hand
-RIVAL = 1.1
 LIKELIER = 0.8  # another stance than standing, or than the previous one, must cost less than this share; by hand
-FAR_RIVAL = 3.0  # the same multiple where posture or walking also favours the rival; by hand
 OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: lowest points above the first: a jump; above the second: hidden feet
 BADLY = 2.0  # times the unexplained cost of a sure start: above it a body fits badly; by hand
 USUAL = 0.018  # metres of noise that every start is allowed; by hand
@@ -36,18 +33,12 @@ class StartHypothesis(NamedTuple):
     frame: int
     body: Body  # with its size
     poses: Poses
-    cost: float  # see solve.scan.cost_of and body_size.unlikely
+    cost: float  # see solve.scan.cost_of, body_size.rarity and turned
     noise: float = 0.0  # of the points of the trial, metres, at least USUAL
-    rival: "StartHypothesis | None" = None  # faces the other way
 
     def clear(self, sure: float) -> bool:
         """Whether it is certain, by its cost and the noise."""
         return self.unexplained <= sure and self.noise <= DetectSettings.noise
-
-    @property
-    def close_rival(self) -> "StartHypothesis | None":
-        """The rival, if its cost is hardly higher."""
-        return self.rival if self.rival is not None and self.rival.cost < RIVAL * self.cost else None
 
     @property
     def unexplained(self) -> float:
@@ -67,7 +58,7 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: B
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
         factors.append(1.0)
-    return ahead_first(run, best_from(run, at, body, places, np.array(factors)))
+    return best_from(run, at, body, places, np.array(factors))
 
 
 def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> tuple[list[Poses], list[float]]:
@@ -92,35 +83,30 @@ def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
     return run.seen[frame.time_ns]
 
 
-def ahead_first(run: Runner, start: StartHypothesis) -> StartHypothesis:
-    """The start or its rival, whichever costs less when the eye's odds against a facing raise its cost."""
-    some = run.people[start.frame : start.frame + run.settings.start.size_frames : EVERY] if start.rival else []
-    fronts = [person.front for f in some if (person := person_in(run, f)) is not None]
-    if start.rival is None or not fronts:
-        return start
-    both = [start._replace(rival=None), start.rival]
-    ahead = facing(on_host(start.body), np.stack([np.asarray(each.poses.rotation) for each in both]))
-    factor = np.exp(TURNED * np.maximum(-(ahead @ np.mean(fronts, 0)), 0.0))
-    first, second = sorted((b._replace(cost=b.cost * float(f)) for b, f in zip(both, factor)), key=lambda b: b.cost)
-    return first._replace(rival=second)
+def turned(
+    body: Body, rotation: Float[np.ndarray, "*pose limb 4"], front: Float[np.ndarray, "... 3"]
+) -> Float[np.ndarray, "*pose"]:
+    """Factor on the cost of poses, at least 1, by the eye's odds against their facing; `front` see Seen, of all
+    poses or of each."""
+    return np.exp(TURNED * np.maximum(-np.sum(facing(on_host(body), rotation) * front, -1), 0.0))
 
 
 def best_from(
     run: Runner, at: int, body: Body, places: list[Poses], factors: Float[np.ndarray, " place"] | float = 1.0
 ) -> StartHypothesis:
-    """The best of trials from some poses in frame `at`, chosen by costs times `factors`."""
-    s, frames = run.settings.start, tried_on(run, at)
-    noise = noise_of(frames)
-    tried = run.trials(body, frames, places)
-    weighed = tried._replace(cost=tried.cost * factors)
-    odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # a known size is never unlikely
-    found = [
-        StartHypothesis(
-            at, body, jax.tree.map(lambda x, k=k: x[k], tried.state.poses), odds * float(tried.cost[k]), noise
-        )
-        for k in opposite(body, weighed, FAR_RIVAL)
-    ]
-    return found[0]._replace(rival=found[1] if len(found) > 1 else None)
+    """The best of trials from some poses in frame `at`, chosen by costs times `factors`, and by facing, see turned."""
+    frames, some = tried_on(run, at), run.people[at : at + run.settings.start.size_frames : EVERY]
+    tried, fronts = run.trials(body, frames, places), [p.front for f in some if (p := person_in(run, f)) is not None]
+    poses = tried.state.poses
+    costs = tried.cost * (turned(body, np.asarray(poses.rotation), np.mean(fronts, 0)) if fronts else 1.0)
+    best = int(np.argmin(costs * factors))
+    cost = float(np.exp(size_odds(run, body)) * costs[best])
+    return StartHypothesis(at, body, jax.tree.map(lambda x: x[best], poses), cost, noise_of(frames))
+
+
+def size_odds(run: Runner, body: Body) -> float:
+    """Logarithm of the factor on a start's cost for its body's size; a known size is never unusual."""
+    return 0.0 if body is run.body or run.settings.start.scale > 0 else rarity(body)
 
 
 def sized_at(run: Runner, at: int, low: float = np.inf) -> Body:

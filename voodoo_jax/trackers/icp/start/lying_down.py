@@ -8,20 +8,16 @@ import numpy as np
 from voodoo_jax.detect.body_likelihood import Extent, extent
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body, rest_box, scaled
 from voodoo_jax.model.pose_library import CURLED, in_stance
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.trackers.icp.body_size import rarity
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.segment import forwards, pass_of
-from voodoo_jax.trackers.icp.start.hypothesis import FAR_RIVAL, StartHypothesis, best_from, tried_on
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, best_from, tried_on
 from voodoo_jax.trackers.icp.start.stage import Search
 from voodoo_jax.trackers.icp.trials import place
 from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
 WAYS = 4  # facing up, left, down and right: any gives the same with these four
-SAME = 0.75 * 2 * np.pi / WAYS  # derived, radians: orientations closer than this count as the same
 # share of half the trunk's depth by which its middle lies behind its visible points: derived, the mean distance of a
 # cylinder's axis behind its near side
 DEEP = np.pi / 4
@@ -41,7 +37,6 @@ class LyingDown:
     usual: tuple[float, ...] = (-2.0, -0.7, 0.7, 2.0)  # further, larger sizes, in standard deviations
     larger: float = 1.12  # times the visible length: least of the further sizes
     smallest: float = 0.9  # metres: as for standing people
-    frames: int = 90  # over which orientations are compared
 
     def __call__(self, run: Runner, search: Search) -> Search:
         at, frames = search.best.frame, tried_on(run, search.best.frame)
@@ -50,42 +45,15 @@ class LyingDown:
         seen = extent(frames[0].points, run.scene.floor)
         if not seen.lies:
             return search
-        found: list[tuple[float, StartHypothesis, list[list[Poses]]]] = []
+        found: list[StartHypothesis] = []
         for body in self._list_bodies(run, search, seen):
             for rest in filter(None, (body, in_stance(body, CURLED))):
                 places = lying_places(rest, frames[-1], run.scene.floor)
-                tried = best_from(run, at, body, [*places[0], *places[1]])
-                found.append((tried.cost * np.exp(rarity(float(body.scale))), tried, places))
-        cost, best, places = min(found, key=lambda one: one[0])
-        if cost >= search.best.cost:
+                found.append(best_from(run, at, body, [*places[0], *places[1]]))
+        best = min(found, key=lambda one: one.cost)
+        if best.cost >= search.best.cost:
             return search
-        if run.settings.looks_ahead("track"):
-            best = self._choose_orientation(run, best, places)
         return search._replace(best=best, found=(best,))
-
-    def _choose_orientation(self, run: Runner, best: StartHypothesis, places: list[list[Poses]]) -> StartHypothesis:
-        """The best orientation over more frames, with the next best as its rival: a few frames hardly distinguish head
-        from feet, or front from back of a person lying on the side."""
-        each = [best_from(run, best.frame, best.body, list(some)) for some in zip(*places)]
-        apart: list[StartHypothesis] = []
-        for one in sorted((best, *each), key=lambda one: one.cost):
-            if one.cost < FAR_RIVAL * best.cost and all(not _have_same_orientation(one, other) for other in apart):
-                apart.append(one._replace(rival=None))
-        costs = self._extend_trials(run, apart[:WAYS])
-        order = sorted(range(len(costs)), key=costs.__getitem__)
-        first, *others = (apart[k]._replace(cost=best.cost * costs[k] / costs[order[0]]) for k in order)
-        return first._replace(rival=others[0] if others else None)
-
-    def _extend_trials(self, run: Runner, starts: list[StartHypothesis]) -> list[float]:
-        """Costs of starts over more frames, including joints bent the wrong way and limbs inside others."""
-        body, costs = run.body, []
-        for start in starts:
-            run.body = start.body
-            end = min([start.frame + self.frames, len(run.people), *(frame for frame, _ in run.pending)])
-            way = pass_of(run, forwards(run, start.poses, start.frame, end))
-            costs.append(float(np.mean(way.cost)))
-        run.body = body
-        return costs
 
     def _list_bodies(self, run: Runner, search: Search, seen: Extent) -> list[Body]:
         """The body in every size to try."""
@@ -94,12 +62,6 @@ class LyingDown:
         usual = (STATURE + STATURES * k for k in self.usual)
         sizes = [max(self.smallest, k * seen.length) for k in self.lengths]
         return [scaled(run.body, s) for s in (*sizes, *(s for s in usual if s > self.larger * seen.length))]
-
-
-def _have_same_orientation(one: StartHypothesis, other: StartHypothesis) -> bool:
-    """Whether two starts have about the same orientation: head at the same end, facing the same side."""
-    turns = rotations(np.stack([one.poses.rotation[0], other.poses.rotation[0]]))
-    return bool((turns[0].inv() * turns[1]).magnitude() < SAME)
 
 
 def lying_places(body: Body, frame: BodyObservation, floor: Plane) -> list[list[Poses]]:

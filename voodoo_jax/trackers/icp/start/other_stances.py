@@ -5,13 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.model.body import scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
-from voodoo_jax.trackers.icp.body_size import rarity
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.start.hypothesis import BADLY, LIKELIER, StartHypothesis, sized_at, trial
+from voodoo_jax.trackers.icp.start.hypothesis import BADLY, LIKELIER, StartHypothesis, size_odds, sized_at, trial
 from voodoo_jax.trackers.icp.start.stage import Search
-from voodoo_jax.trackers.shared.confidence import STATURE
 
 
 @dataclass(frozen=True)
@@ -34,20 +32,13 @@ class OtherStances:
 
         def penalised_cost(one: tuple[StartHypothesis, Stance | None]) -> float:
             found, stance = one
-            cost = fit * float(np.log(found.cost * (LIKELIER if stance is None is earlier else 1.0)))
-            if stance is not None and stance is earlier:  # its size was rated before
-                return cost + float(np.log(LIKELIER))
-            return cost + max(_penalise_tall(found.body) - _penalise_tall(search.best.body), 0.0)
+            odds = size_odds(run, found.body)
+            return fit * (float(np.log(found.cost * (LIKELIER if stance is earlier else 1.0))) - odds) + odds
 
         best, stance = min(every, key=penalised_cost)
         if stance is not None:
             run.stances[search.at] = stance
         return search._replace(best=best, stance=stance)
-
-
-def _penalise_tall(body: Body) -> float:
-    """Penalty for a body taller than usual, as a logarithm of costs."""
-    return rarity(max(float(body.scale), STATURE)) if body.scale_name == "stature" else 0.0
 
 
 def in_stances(run: Runner, at: int) -> list[tuple[StartHypothesis, Stance]]:
