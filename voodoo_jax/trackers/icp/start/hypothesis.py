@@ -63,15 +63,16 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: B
 
 def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> tuple[list[Poses], list[float]]:
     """Poses to try in the last of some frames: at rest in headings all round; with a person seen by the learned eye, in
-    fewer headings, and also in its pose, with left and right as it says and exchanged. And factors on their costs: the
-    eye's pose is another stance than standing, see LIKELIER."""
+    fewer headings, and also in its pose. And factors on their costs: the eye's pose is another stance than standing,
+    see LIKELIER."""
     person = person_in(run, frames[-1])
-    seen_as = [] if person is None else [poses_of(body, each) for each in (person, person.exchanged)]
-    poses = [pose for pose in seen_as if pose is not None]
-    many = run.settings.start.headings // (FEWER if poses else 1)
-    front = person.front if poses and person is not None else None
-    rest = standing_places(body, frames[::-1], run.scene.floor, max(many, 1), front)
-    return [*rest, *poses], [1.0] * len(rest) + [1 / LIKELIER] * len(poses)
+    pose = None if person is None else poses_of(body, person)
+    if person is None or pose is None:
+        rest = standing_places(body, frames[::-1], run.scene.floor, run.settings.start.headings)
+        return rest, [1.0] * len(rest)
+    many = max(run.settings.start.headings // FEWER, 1)
+    rest = standing_places(body, frames[::-1], run.scene.floor, many, person.front)
+    return [*rest, pose], [1.0] * many + [1 / LIKELIER]
 
 
 def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
