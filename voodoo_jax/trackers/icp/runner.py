@@ -43,6 +43,8 @@ class Runner(FrameRunner):
         other = Runner(known or body, self.options, people, self.scene, self.settings, changes, self.visit)
         other.sized = other.known = known is not None or self.known
         other.stances = self.stances
+        if people is self.people:  # the eye would see the same
+            other.seen = self.seen
         return other
 
     @property

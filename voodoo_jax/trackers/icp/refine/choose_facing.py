@@ -1,5 +1,5 @@
 """Turns a body round where the learned eye sees it face the other way: at the start, or after a movement that lost it.
-Back to front it explains the points hardly worse. A body that the eye does not see is tracked both ways."""
+Back to front it explains the points hardly worse. A body that the eye does not see is tracked both ways. Host side."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
@@ -16,7 +16,7 @@ from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import pass_of, tracked_anew
 from voodoo_jax.trackers.icp.start.hypothesis import TURNED, StartHypothesis, best_from, person_in, tried_on, turned
 from voodoo_jax.trackers.icp.trials import facing, standing_places
-from voodoo_jax.trackers.shared.eye import poses_of
+from voodoo_jax.trackers.shared.eye import Seen, poses_of
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 from voodoo_jax.trackers.shared.segment import Followed, segment_of
 
@@ -30,7 +30,12 @@ class Looks(NamedTuple):
     """What the eye sees in some frames of a segment."""
 
     frame: Int[np.ndarray, " look"]  # of the segment
-    front: Float[np.ndarray, "look 3"]  # where the trunk faces, as long as the logarithm of the odds of that
+    people: list[Seen]  # of each look
+
+    @property
+    def front(self) -> Float[np.ndarray, "look 3"]:
+        """Where the trunk faces, as long as the logarithm of the odds of that."""
+        return np.array([person.front for person in self.people])
 
     def between(self, first: int, end: int) -> Float[np.ndarray, "frame 3"]:
         """The front in frames `first` to `end` - 1, also between two looks."""
@@ -55,7 +60,7 @@ class ChooseFacing:
 
     def __call__(self, run: Runner, segment: Followed) -> Followed:
         looks = looks_at(run, segment)
-        if not len(looks.frame):
+        if not looks.people:
             return self._cheaper(run, segment)
         odds = looks.odds(run.body, segment)
         for start, end in stretches(odds < 0):
@@ -63,7 +68,7 @@ class ChooseFacing:
             if odds[at] < -1 / TURNED:  # the facing counts as much as costs e times as high
                 low, high = looks.frame[start] - 2 * EVERY, looks.frame[end - 1] + 2 * EVERY
                 span = slice(max(0, int(low)), min(len(segment), int(high)))
-                segment = self._turned(run, segment, looks, span, int(looks.frame[at]))
+                segment = self._turned(run, segment, looks, span, at)
         odds = TURNED * (MOSTLY + looks.odds(run.body, segment))
         return _with_odds(segment, np.interp(np.arange(len(segment)), looks.frame, odds))
 
@@ -71,8 +76,8 @@ class ChooseFacing:
         """The segment, or that of the body turned round at its start, whichever costs less."""
         if not isinstance(segment.start, StartHypothesis):  # it goes on from a span that was asked
             return segment
-        round_about = turned_round(segment.start.poses, run.scene.floor.normal)
-        start = best_from(run, segment.first, run.body, [round_about])
+        other_way = turned_round(segment.start.poses, run.scene.floor.normal)
+        start = best_from(run, segment.first, run.body, [other_way])
         state, step = run.forwards(start.poses, segment.first, segment.end)
         other = self.passes(run, segment_of(run, step, segment.first, len(segment)))
         odds = self._rate(run, segment.start, segment) - self._rate(run, start, other)
@@ -80,21 +85,22 @@ class ChooseFacing:
         return _with_odds(better, np.full(len(better), abs(odds)))
 
     def _rate(self, run: Runner, start: StartHypothesis, segment: Segment) -> float:
-        """Logarithm of the odds of a facing: by the costs of the start and of all frames, for a few hardly distinguish
-        front from back, and by how far the body goes ahead, in its height and not beyond it: animals seldom back up."""
+        """Logarithm of the odds of a facing: by the cost of the start, by that of all frames, since a few hardly
+        distinguish front from back, and by how far the body moves forwards, in body heights, at most one."""
         front, steps = facing(on_host(run.body), segment.rotation)[1:], np.diff(segment.translation[:, 0], axis=0)
         ahead = float(np.nansum(front * steps)) / rest_height(run.body)
         return float(np.clip(ahead, -1.0, 1.0) - np.log(start.cost * np.mean(pass_of(run, segment).cost)))
 
-    def _turned(self, run: Runner, segment: Followed, looks: Looks, span: slice, at: int) -> Followed:
-        """The segment with frames of a span tracked from what the eye sees in frame `at`, where that is better."""
-        first, person = segment.first, person_in(run, run.people[segment.first + at])
-        frames, seen = tried_on(run, first + at), None if person is None else poses_of(run.body, person)
-        if person is None or seen is None:
+    def _turned(self, run: Runner, segment: Followed, looks: Looks, span: slice, look: int) -> Followed:
+        """The segment with frames of a span tracked from what the eye sees in one of its looks, where that is
+        better."""
+        first, at, person = segment.first, segment.first + int(looks.frame[look]), looks.people[look]
+        pose = poses_of(run.body, person)
+        if pose is None:
             return segment
-        places = [seen, *standing_places(run.body, frames[::-1], run.scene.floor, 1, person.front)]
-        start = best_from(run, first + at, run.body, places)
-        other = tracked_anew(run, start.poses, first + span.start, first + at, first + span.stop)
+        standing = standing_places(run.body, tried_on(run, at)[::-1], run.scene.floor, 1, person.front)
+        start = best_from(run, at, run.body, [pose, *standing])
+        other = tracked_anew(run, start.poses, first + span.start, at, first + span.stop)
         front = looks.between(span.start, span.stop)
         costs = [pass_of(run, s).cost * turned(run.body, s.rotation, front) for s in (other, segment[span])]
         return segment.spliced(span.start, other, self.passes.is_better(*costs))
@@ -104,8 +110,8 @@ def looks_at(run: Runner, segment: Segment) -> Looks:
     """What the eye sees in every n-th frame of a segment that has points."""
     people = run.people[segment.first : segment.end]
     at = [k for k in range(0, len(people), EVERY) if len(people[k].points) >= FEW_POINTS]
-    found = [(k, person.front) for k in at if (person := person_in(run, people[k])) is not None]
-    return Looks(np.array([k for k, _ in found], int), np.array([front for _, front in found]).reshape(-1, 3))
+    found = [(k, person) for k in at if (person := person_in(run, people[k])) is not None]
+    return Looks(np.array([k for k, _ in found], int), [person for _, person in found])
 
 
 def _with_odds(segment: Followed, odds: Float[np.ndarray, " frame"]) -> Followed:
