@@ -37,3 +37,26 @@ def test_what_work_raises_is_raised(monkeypatch, count):
     with pytest.raises(KeyboardInterrupt):
         cores.at_once(work, range(100))
     assert len(done) < 99
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_work_that_is_begun_goes_on_aside(monkeypatch, count):
+    monkeypatch.setattr(cores, "own_cores", lambda: count)
+    go = threading.Event()
+
+    def work(number: int) -> tuple[int, int]:
+        if count > 1:
+            assert go.wait(10)  # until what begun it goes on
+        return number, limits().topics
+
+    with limited(LimitSettings(topics=7)):
+        result = cores.begun(work, 3)
+    go.set()
+    assert result() == (3, 7)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_work_that_is_begun_raises_is_raised(monkeypatch, count):
+    monkeypatch.setattr(cores, "own_cores", lambda: count)
+    with pytest.raises(ZeroDivisionError):
+        cores.begun(divmod, 1, 0)()

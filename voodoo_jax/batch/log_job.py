@@ -95,7 +95,7 @@ def track_log(
 
     def counted() -> Iterable:
         # several workers share the cores already
-        for frame in ahead(log.frames(), AHEAD) if own_cores() > 1 else log.frames():
+        for frame in ahead(log.frames(), AHEAD) if own_cores() > 1 and log.unpacks else log.frames():
             more(1)
             yield frame
 

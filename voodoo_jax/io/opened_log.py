@@ -108,6 +108,14 @@ class LogReader:
         """Whether a topic's messages are images, not clouds."""
         return isinstance(self.scan.topics[topic].sample, Image)
 
+    @property
+    def unpacks(self) -> bool:
+        """Whether images are unpacked or a network looks at them, which takes long and lets other threads run. All else
+        is read as fast as it is handed from one thread to another."""
+        samples = (self.scan.topics[topic].sample for topic in self.sensors)
+        packed = any(isinstance(sample, Image) and sample.packed is not None for sample in samples)
+        return packed or bool(self.scan.stereo or self._settings.pose_net)
+
     def with_scales(self, scales: dict[str, float]) -> "LogReader":
         """The same log with other units of some topics, metres per unit."""
         return self._with(scales={**self.scales, **scales})

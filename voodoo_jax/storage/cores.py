@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from pathlib import Path
 from threading import Thread
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -55,6 +55,18 @@ def at_once(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
     if errors:
         raise errors[min(errors)]
     return [made[k] for k in range(len(items))]
+
+
+def begun(work: Callable[..., R], *given: Any) -> Callable[[], R]:
+    """Begins some work in another thread, with the caller's limits, and returns what waits for its result; it is done
+    at once if this process has one core."""
+    if own_cores() < 2:
+        made = work(*given)
+        return lambda: made
+    pool = ThreadPoolExecutor(1)
+    future = pool.submit(copy_context().run, work, *given)
+    pool.shutdown(wait=False)
+    return future.result
 
 
 def usable_cores() -> int:

@@ -1,9 +1,10 @@
 """Goes through a recording segment by segment: starts, tracks chunk by chunk, and starts again after the body was lost.
 
-Long segments are cut into spans, each tracked forwards and backwards before the next one, so that memory does not grow
-with the length of a recording.
+Long segments are cut into spans, so that memory does not grow with the length of a recording, and each is refined
+(tracked backwards, too) while the next ones are tracked forwards.
 """
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -15,11 +16,13 @@ from jaxtyping import Bool
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.scan import State, at_rest
+from voodoo_jax.storage.cores import begun
 from voodoo_jax.trackers.shared.runner import FrameRunner, first_run
 from voodoo_jax.trackers.shared.segment import Followed, Start, segment_of
 
 Progress = Callable[[int], None]
-SPAN = 1800  # frames after which a segment is tracked back, even if it goes on
+SPAN = 512  # frames after which a segment is tracked back, even if it goes on
+MOST = 2  # spans whose refinement may wait while others are tracked: two cores are busy with as many
 WRONG = 4  # times what a start that is sure may leave unexplained: it is in doubt
 DOUBT = 15  # frames after which a start that is in doubt is compared with another one, if nothing later is looked at
 OVERLAP = 30  # frames of a span that the next one goes back over: a pass is not good before it has settled
@@ -52,7 +55,46 @@ class Method:
         return segment
 
 
-# 62 lines: one state machine, whose steps share eight variables
+class Span(NamedTuple):
+    """A part of a segment that is refined as one."""
+
+    start: Start
+    until: int  # frame before which it counts
+    end: int  # frame before which it was tracked
+
+    def refined(self, run: FrameRunner, out: Followed, method: Method) -> Followed:
+        return method.refine(run, replace(out[self.start.frame : self.end], start=self.start))
+
+    def put(self, found: Followed, out: Followed) -> None:
+        """Fills in its refinement."""
+        last = self.until if found.state is None else self.end  # another start's frames take the place of all
+        out.put(found[: last - self.start.frame])
+
+
+class Refining:
+    """Spans of a segment that are refined aside, while later ones are tracked."""
+
+    def __init__(self, run: FrameRunner, out: Followed, method: Method):
+        self._given, self._waiting = (run, out, method), deque[tuple[Span, Callable[[], Followed]]]()
+
+    def begin(self, span: Span) -> None:
+        self._waiting.append((span, begun(span.refined, *self._given)))
+
+    def collect(self, most: int) -> tuple[Span, State] | None:
+        """Fills in refinements until at most `most` spans wait. Returns the first span that ends in another state than
+        it was tracked to, and that state; spans after it are discarded."""
+        while len(self._waiting) > most:
+            span, result = self._waiting.popleft()
+            span.put(found := result(), self._given[1])
+            if found.state is not None:
+                for _, later in self._waiting:
+                    later()  # what it looks at is overwritten next
+                self._waiting.clear()
+                return span, found.state
+        return None
+
+
+# 68 lines: one state machine, whose steps share eight variables
 def follow(
     run: FrameRunner,
     at: int,
@@ -64,7 +106,7 @@ def follow(
     """Tracks from frame `at` to the end and fills in `out`; `enough`: frames with enough points to search again for a
     lost body."""
     ahead = run.settings.looks_ahead("track")  # whether later frames may be looked at
-    refines = method.refines(run)
+    refines, spans = method.refines(run), Refining(run, out, method)
     count, patience = len(run.people), run.settings.track.patience
     wait = 0 if ahead else patience  # frames until it is known that the body is gone
     say = progress or (lambda _: None)
@@ -100,10 +142,15 @@ def follow(
         say(keep)
         over = keep < taken or at == count or at in run.others
         if refines and start is not None and (over or at - start.frame >= SPAN):
-            until = at if over else at - OVERLAP
-            state = _refined(run, start, until, at, out, method) or state
-            say(until - start.frame)
-            start = KnownStart(until, state.poses)
+            span = Span(start, at if over else at - OVERLAP, at)
+            spans.begin(span)
+            say(span.until - start.frame)
+            if (other := spans.collect(0 if over else MOST)) is not None:
+                span, state = other
+            start = KnownStart(span.until, state.poses)
+            if span.end < at:
+                at = span.end
+                continue
         if doubt and keep == taken and at < count and (better := method.clearer(run, at)) is not None:
             state, doubt = at_rest(better.poses), False
         if keep < taken:
@@ -116,13 +163,3 @@ def follow(
                 at += skip
                 say(skip)
             tried = at + patience
-
-
-def _refined(run: FrameRunner, start: Start, until: int, at: int, out: Followed, method: Method) -> State | None:
-    """Fills in a span, tracked forwards to before frame `at`, with its refinement up to `until`; returns the state to
-    continue with, if it changed."""
-    first = start.frame
-    found = method.refine(run, replace(out[first:at], start=start))
-    last = until if found.state is None else at  # another start's frames take the place of all
-    out.put(found[: last - first])
-    return found.state
