@@ -197,12 +197,12 @@ class MisplacedCamera:
         yaw, pitch = np.radians(self.turn)
         wrong = replace(right, position=place, yaw=right.yaw + yaw, pitch=right.pitch + pitch)
         with tempfile.TemporaryDirectory() as folder:
-            true = vj.read_log(write_log(Path(folder) / "true.mcap", seen))
+            true = next(open_log(write_log(Path(folder) / "true.mcap", seen)).frames())  # as it is, not put right
             moved = seen | {"second": replace(seen["second"], camera=wrong)}
             log = write_log(Path(folder) / "moved.mcap", moved)
             read, as_given = vj.read_log(log), next(open_log(log).frames())
         said = any("transforms is wrong" in note for note in read.notes)
-        return _beside(as_given, true.frames[0]), _beside(read.frames[0], true.frames[0]), said, read.sure
+        return _beside(as_given, true), _beside(read.frames[0], true), said, read.sure
 
 
 def _beside(frame: Frame, true: Frame) -> float:

@@ -78,10 +78,10 @@ def test_level_surfaces_that_fit_hide_no_wrong_transform(rng):
         flat = np.column_stack([np.zeros(120), rng.uniform(-0.3, 0.3, 120), rng.uniform(0.1, 0.9, 120)])
         boards.append(flat @ turn.T + [*place, 0])
         ups.append(np.tile(-turn[:, 0], (120, 1)))
-    whole = Surface(np.concatenate([floor, *boards]), np.concatenate(ups))
+    whole = seen(np.concatenate([floor, *boards]), np.concatenate(ups))
     T = turned(np.array([0, 0, np.radians(4), 0.2, 0.1, 0]))
-    found, sure = correction(whole, [Surface(moved(whole.points, T), whole.normals @ T[:3, :3].T)] * 4, UP)
-    assert sure and np.abs(moved(moved(whole.points, T), found) - whole.points).max() < 0.08  # 0.4 unmoved
+    found, doubt = correction(whole, [whole.under(T)] * 4, UP)
+    assert doubt < 0.03 and np.abs(moved(moved(whole.points, T), found) - whole.points).max() < 0.02  # 0.4 unmoved
     assert np.array_equal(correction(whole, [whole] * 4, UP)[0], np.eye(4))
 
 
@@ -146,7 +146,12 @@ def patch(normal, middle, rng, size: float = 1.0) -> Surface:
     """A flat piece of a wall or floor."""
     across = np.linalg.svd(np.array(normal, float)[None])[2][1:]
     points = rng.uniform(-size, size, (800, 2)) @ across + middle
-    return Surface(points, np.broadcast_to(np.array(normal, float), points.shape))
+    return seen(points, np.broadcast_to(np.array(normal, float), points.shape))
+
+
+def seen(points, normals, eye=(0, 0, 1.2)) -> Surface:
+    """Surfaces that a sensor sees."""
+    return Surface(points, normals, np.tile(eye, (len(points), 1)).astype(float))
 
 
 @pytest.mark.parametrize("walls, sure", [([(-1, 0, 0), (0, 1, 0)], True), ([(-1, 0, 0)], False), ([], False)])
@@ -154,11 +159,17 @@ def test_what_the_surfaces_leave_open_is_doubted(rng, walls, sure):
     """The floor tells height and slope, one wall a shift and a turn, the corner all."""
     shift = np.array([0.09, 0.08, 0.07])
     there = [patch((0, 0, 1), (3, 0, 0), rng), *(patch(n, -1.0 * np.array(n) + [3, 0, 1], rng) for n in walls)]
-    whole = Surface(np.concatenate([s.points for s in there]), np.concatenate([s.normals for s in there]))
-    T, alone = correction(whole, [Surface(whole.points + shift, whole.normals)] * 4, UP)
-    assert alone == sure and abs(T[2, 3] + shift[2] + (T[2, :3] - UP) @ [3, 0, 0.5]) < 0.02
+    whole = Surface(*map(np.concatenate, zip(*there)))
+    T, doubt = correction(whole, [seen(whole.points + shift, whole.normals)] * 4, UP)
+    assert (doubt < 0.03) == sure and abs(T[2, 3] + shift[2] + (T[2, :3] - UP) @ [3, 0, 0.5]) < 0.02
     if sure:
         np.testing.assert_allclose(T[:3, 3] + (T[:3, :3] - np.eye(3)) @ [3, 0, 0.5], -shift, atol=0.01)
+
+
+def test_what_another_sensor_sees_through_is_not_there(rng):
+    wall, before = (patch((-1, 0, 0), (x, 0, 1), rng) for x in (4.0, 3.0))
+    assert wall.seen_through(before) == 0 and wall.seen_through(wall) == 0  # hidden, and the same
+    assert before.seen_through(wall) > 0.5  # beside the wall nothing is known
 
 
 def test_normals_as_by_eigenvectors(rng):

@@ -21,6 +21,7 @@ from voodoo_jax.detect.crops import with_crops
 from voodoo_jax.detect.delays import POINTS, WINDOW, late_transforms, offsets
 from voodoo_jax.detect.segmentation import CELL
 from voodoo_jax.detect.units import FIRST, with_units
+from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.depth_edges import SMEARED, between_edges
 from voodoo_jax.geometry.voxels import Counted, cells_of
 from voodoo_jax.io.container import LogFile, Place
@@ -34,8 +35,8 @@ from voodoo_jax.records.tracks import RIGHT
 # Frames of a sensor, spread over the beginning; points around one that show its normal.
 FRAMES, PATCH = 10, 12
 # By hand, as above: metres from a surface, at most; share of a sensor's upright points on others' surfaces, and points,
-# at least; times as many as at first; of the best fit's, those of one as good
-REACH, SHARED, FEWEST, BETTER, ALMOST = 0.35, 0.1, 100, 1.2, 0.95
+# at least; times as many as in another pose that is not as good
+REACH, SHARED, FEWEST, BETTER = 0.35, 0.1, 100, 1.2
 # By hand, as above: degrees and metres from the first fit, at which further ones begin, and how many; steps of each
 YAWS, SHIFTS, TRIED, STEPS = (-6.0, -3.0, 0.0, 3.0, 6.0), (-0.15, 0.0, 0.15), 4, 30
 # cosine between normals of one surface, or of an upright one and up; of a patch's extent, squared, at most; by hand
@@ -51,6 +52,17 @@ class Surface(NamedTuple):
 
     points: Float64[np.ndarray, "point 3"]
     normals: Float64[np.ndarray, "point 3"]  # unit, towards the sensor
+    eyes: Float64[np.ndarray, "point 3"]  # the sensor's place
+
+    def under(self, T: Float[np.ndarray, "4 4"]) -> "Surface":
+        return Surface(moved(self.points, T), self.normals @ T[:3, :3].T, moved(self.eyes, T))
+
+    def seen_through(self, other: "Surface") -> float:
+        """The share of the points that are where the other's sensors see nothing."""
+        points, there, eyes = (p.astype(np.float32) for p in (self.points, other.points, other.eyes))
+        origins, sensor = np.unique(eyes, axis=0, return_inverse=True)
+        nearest = Nearest.of(there, sensor.ravel(), origins)
+        return max(float(nearest.empty(points, np.full(len(points), k)).mean()) for k in range(len(origins)))
 
 
 def with_sensors_in_place(reader: LogReader) -> LogReader:
@@ -69,18 +81,19 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
     known = _surfaces(coarse, first, times)
     for topic in others if known else ():
         mine, there = _surfaces(coarse, topic, times), _joined(known)
-        T, sure = correction(there, mine, reader.up)
+        T, doubt = correction(there, mine, reader.up)
         if (other := _mirrored(reader, (first, topic), times, there, mine, T)) is not reader:
             reader, coarse = other, other.coarse(POINTS)
             mine = _surfaces(coarse, topic, times)
-            T, sure = correction(there, mine, reader.up)
+            T, doubt = correction(there, mine, reader.up)
         away = max((_apart(one.points, T, STILL) for one in mine if len(one.points)), default=0.0)
-        lines = "", ""
+        lines, sure = ("", ""), doubt < OFF
+        away += 0.0 if sure else doubt
         if away > (OFF if sure else RIGHT) and reader.frame_name(topic) not in given:
             lines = reader.move(topic, T) if sure else lines
             _say(reader, (first, topic), away, is_decisive(off[first], off[topic]), lines)
         T = T if lines[0] else STILL  # as it is read from now on
-        known += [Surface(moved(one.points, T), one.normals @ T[:3, :3].T) for one in mine]
+        known += [one.under(T) for one in mine]
     return reader
 
 
@@ -161,16 +174,20 @@ class _Views(NamedTuple):
             on, asked = on[np.abs(normal @ up) < FACING], asked[np.abs(asked @ up) < FACING]
         return float(on.sum() / max(len(asked), 1))
 
+    def agreed(self, T: np.ndarray, up: np.ndarray) -> float:
+        """The share of the points on upright surfaces that are shared, less that of the points seen through."""
+        mine = _joined(self.mine).under(T)
+        return self.shared(T, up) - mine.seen_through(self.there) - self.there.seen_through(mine)
+
     def fitted(self, T: np.ndarray = STILL, reach: float = REACH) -> np.ndarray:
         """The best fit of the sensor's surfaces to the others', from `T` on."""
-        whole, pivot = np.zeros(6), self.middle
+        pivot = self.middle
         for _ in range(STEPS):
             points, normal, off = self.matched(T, reach)
             if len(off) < FEWEST:
                 return T
             size = np.full(len(off), reach)
-            x, _, _ = onto_planes(points - pivot, normal, off, np.full(len(off), NOISE), size, whole)
-            whole = whole + x
+            x, _, _ = onto_planes(points - pivot, normal, off, np.full(len(off), NOISE), size, np.zeros(6))
             T = turned(x, pivot) @ T
             if reach <= ON and np.abs(x).max() < 1e-3:
                 break
@@ -184,16 +201,16 @@ class _Views(NamedTuple):
 
 def correction(
     there: Surface, mine: Sequence[Surface], up: Float[np.ndarray, "3"]
-) -> tuple[Float64[np.ndarray, "4 4"], bool]:
-    """The transform that takes a sensor's surfaces, frame by frame, onto those of the others, and whether it is unique.
-    The identity if they coincide already, or if it cannot be determined."""
+) -> tuple[Float64[np.ndarray, "4 4"], float]:
+    """The transform that takes a sensor's surfaces, frame by frame, onto those of the others, and how far another as
+    good takes them elsewhere, metres. The identity if they coincide already, or if it cannot be determined."""
     mine = [one for one in mine if len(one.points)]
     if len(mine) < 2 or len(there.points) < FEWEST:
-        return STILL, True
+        return STILL, 0.0
     both = _Views(there, KDTree(there.points), tuple(mine))
     T, points = both.fitted(), np.concatenate([mine.points for mine in both.mine])[::10]
     if _apart(points, T, STILL) < OFF and both.shared(STILL, up) > SHARED:  # not only level ones, which always fit
-        return STILL, True
+        return STILL, 0.0
     level = np.linalg.svd(up[None].astype(float))[2][1:]
     starts = [
         turned(np.concatenate([np.radians(yaw) * up, a * level[0] + b * level[1]]), both.middle) @ T
@@ -201,14 +218,14 @@ def correction(
     ]  # fmt: skip
     best = sorted(starts, key=lambda start: -both.shared(start, up, SHIFTS[-1] / 2))[:TRIED]  # as near as they are
     fits = [T, *(both.fitted(start) for start in best)]
-    shares = [both.shared(fit, up) for fit in fits]
-    if max(shares) <= max(SHARED, BETTER * both.shared(STILL, up)):
+    shares = [both.agreed(fit, up) for fit in fits]
+    if max(shares) <= max(SHARED, BETTER * both.agreed(STILL, up)):
         # level surfaces alone are brought together, if those
-        return (T, False) if both.shared(T) > BETTER * both.shared(STILL) else (STILL, True)
+        return (T, OFF) if both.shared(T) > BETTER * both.shared(STILL) else (STILL, 0.0)
     found = fits[int(np.argmax(shares))]
-    as_good = [fit for fit, share in zip(fits, shares) if share > ALMOST * max(shares)]
+    as_good = [fit for fit, share in zip(fits, shares) if BETTER * share > max(shares)]
     halves = [both._replace(mine=both.mine[k::2]).fitted(found, 2 * ON) for k in (0, 1)]
-    return found, all(_apart(points, found, other) < OFF for other in (*as_good, *halves))
+    return found, max(_apart(points, found, other) for other in (*as_good, *halves))
 
 
 def _apart(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
@@ -232,11 +249,12 @@ def _surface(frame: Frame, still: Bool[np.ndarray, " point"]) -> Surface:
     """The static points of a frame on smooth surfaces, with normals."""
     points = frame.points.astype(float)
     if len(points) < PATCH:
-        return Surface(points[:0], points[:0])
+        return Surface(points[:0], points[:0], points[:0])
     around = points[KDTree(points).query(points[still], PATCH)[1]] - points[still][:, None]
     normals, flat = normals_of(around - around.mean(1, keepdims=True))
     normals *= np.sign(np.sum(normals * (frame.origins[0] - points[still]), 1))[:, None]
-    return Surface(points[still][flat], normals[flat])
+    points = points[still][flat]
+    return Surface(points, normals[flat], np.broadcast_to(frame.origins[0].astype(float), points.shape))
 
 
 def normals_of(patches: Float[np.ndarray, "patch point 3"]) -> tuple[np.ndarray, np.ndarray]:
