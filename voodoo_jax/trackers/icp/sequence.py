@@ -10,7 +10,9 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Status
+from voodoo_jax.solve.scan import State
 from voodoo_jax.trackers.icp.initialise import begin, clearer
+from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import backwards
 from voodoo_jax.trackers.icp.stage import Named, Stage, is_active, refined
@@ -30,6 +32,9 @@ class Stages(Method):
 
     def clearer(self, run: Runner, at: int) -> StartHypothesis | None:
         return clearer(run, at)
+
+    def looked(self, run: Runner, found: Followed) -> tuple[Followed, State | None]:
+        return ChooseFacing().so_far(run, found)
 
     def refine(self, run: Runner, segment: Followed) -> Followed:
         return refined(run, segment, self.stages)

@@ -11,10 +11,11 @@ from voodoo_jax.geometry.rigid import Poses, compose, on_host, rotate
 from voodoo_jax.model.body import Body, rest_height
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.stretches import stretches
+from voodoo_jax.solve.scan import State, at_rest
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import pass_of, tracked_anew
-from voodoo_jax.trackers.icp.start.hypothesis import TURNED, StartHypothesis, best_from, person_in, tried_on, turned
+from voodoo_jax.trackers.icp.start.hypothesis import TURNED, StartHypothesis, best_from, tried_on, turned
 from voodoo_jax.trackers.icp.trials import facing, standing_places
 from voodoo_jax.trackers.shared.eye import Seen, poses_of
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
@@ -72,6 +73,39 @@ class ChooseFacing:
         odds = TURNED * (MOSTLY + looks.odds(run.body, segment))
         return _with_odds(segment, np.interp(np.arange(len(segment)), looks.frame, odds))
 
+    def so_far(self, run: Runner, segment: Followed) -> tuple[Followed, State | None]:
+        """Frames that were just tracked, where nothing later is looked at: up to the first in which the body is turned,
+        and the state after that one; all, and None, if it is turned in none."""
+        if run.settings.skips("track", self.name, False) or not self.needs <= run.offers:
+            return segment, None
+        odds = np.full(len(segment), np.nan)
+        for k in range(len(segment)):
+            at, state = segment.first + k, None
+            frame = run.people[at]
+            due = (at % EVERY == 0 or np.isnan(run.facing)) and len(frame.points) >= FEW_POINTS
+            if due and (person := run.person_in(frame)) is not None:
+                state, row = self._faced(run, segment[k : k + 1], person)
+                segment = segment.spliced(k, row, np.ones(1, bool))
+                run.facing = TURNED * (MOSTLY + float(facing(on_host(run.body), row.rotation)[0] @ person.front))
+            odds[k] = run.facing
+            if state is not None:
+                return _with_odds(segment[: k + 1], odds[: k + 1]), state
+        return _with_odds(segment, odds), None
+
+    def _faced(self, run: Runner, row: Followed, person: Seen) -> tuple[State | None, Followed]:
+        """A frame, tracked from what the eye sees where that is better: the state after it, or None, and the frame."""
+        body, at = run.body, row.first
+        pose = poses_of(body, person)
+        if pose is None or facing(on_host(body), row.rotation)[0] @ person.front > -1 / TURNED:
+            return None, row
+        frames = run.frames(at, at + 1)
+        tried = run.trials(body, frames, [pose, *standing_places(body, frames, run.scene.floor, 1, person.front)])
+        best = int(np.argmin(tried.cost * turned(body, tried.state.poses.rotation, person.front)))
+        state, step, _ = run.chunk(at_rest(tried.state.poses[best]), at, 1)
+        other = segment_of(run, step, at, 1)
+        costs = [one.cost * turned(body, one.rotation, person.front) for one in (other, row)]
+        return (state, other) if costs[0] < costs[1] else (None, row)
+
     def _cheaper(self, run: Runner, segment: Followed) -> Followed:
         """The segment, or that of the body turned round at its start, whichever costs less."""
         if not isinstance(segment.start, StartHypothesis):  # it goes on from a span that was asked
@@ -110,7 +144,7 @@ def looks_at(run: Runner, segment: Segment) -> Looks:
     """What the eye sees in every n-th frame of a segment that has points."""
     people = run.people[segment.first : segment.end]
     at = [k for k in range(0, len(people), EVERY) if len(people[k].points) >= FEW_POINTS]
-    found = [(k, person) for k in at if (person := person_in(run, people[k])) is not None]
+    found = [(k, person) for k in at if (person := run.person_in(people[k])) is not None]
     return Looks(np.array([k for k, _ in found], int), [person for _, person in found])
 
 
