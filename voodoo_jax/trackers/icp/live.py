@@ -30,11 +30,10 @@ from voodoo_jax.trackers.icp.confidence import rate_joints
 from voodoo_jax.trackers.icp.diagnostics import log_doubts, notes_on
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.joint_spread import with_passes
-from voodoo_jax.trackers.icp.pipeline import PLACE
-from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing
+from voodoo_jax.trackers.icp.pipeline import PLACE, REFINE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
 from voodoo_jax.trackers.icp.runner import THING_FRAMES, Runner
-from voodoo_jax.trackers.icp.stage import is_active
+from voodoo_jax.trackers.icp.stage import is_active, looked
 from voodoo_jax.trackers.icp.tracker import finished, tracks_of
 from voodoo_jax.trackers.shared import eye
 from voodoo_jax.trackers.shared.confidence import AROUND
@@ -203,7 +202,7 @@ class LiveTracker:
             chunk = _Chunk(at, min(DOUBT if run.doubt else SPAN, self.settings.track.chunk), tried < at, self.settings)
             while self._there(at) and not chunk.over and not (run.people[at].other and at > chunk.first):
                 after, row = run.one(state, at)
-                row, mended = ChooseFacing().so_far(run, row)
+                row, mended = looked(run, row, REFINE)
                 state = mended or after
                 chunk.take(row, mended is not None)
                 status = row.status if not run.doubt else np.where(row.tracked, Status.LOST, row.status).astype(np.int8)

@@ -1,5 +1,6 @@
 """Turns a body round where the learned eye sees it face the other way: at the start, or after a movement that lost it.
-Back to front it explains the points hardly worse. A body that the eye does not see is tracked both ways. Host side."""
+Back to front it explains the points hardly worse. A body that the eye does not see is tracked both ways. Without later
+frames the body goes on from what the eye sees (so_far). Host side."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
@@ -76,35 +77,33 @@ class ChooseFacing:
     def so_far(self, run: Runner, segment: Followed) -> tuple[Followed, State | None]:
         """Frames that were just tracked, where nothing later is looked at: up to the first in which the body is turned,
         and the state after that one; all, and None, if it is turned in none."""
-        if run.settings.skips("track", self.name, False) or not self.needs <= run.offers:
-            return segment, None
-        odds = np.full(len(segment), np.nan)
+        odds, state = np.full(len(segment), np.nan), None
         for k in range(len(segment)):
-            at, state = segment.first + k, None
-            frame = run.people[at]
-            due = (at % EVERY == 0 or np.isnan(run.facing)) and len(frame.points) >= FEW_POINTS
+            frame = run.people[segment.first + k]
+            due = ((segment.first + k) % EVERY == 0 or np.isnan(run.facing)) and len(frame.points) >= FEW_POINTS
             if due and (person := run.person_in(frame)) is not None:
-                state, row = self._faced(run, segment[k : k + 1], person)
-                segment = segment.spliced(k, row, np.ones(1, bool))
-                run.facing = TURNED * (MOSTLY + float(facing(on_host(run.body), row.rotation)[0] @ person.front))
+                run.facing, row, state = self._faced(run, segment[k : k + 1], person)
+                segment = segment if state is None else segment[:k].joined(row)
             odds[k] = run.facing
             if state is not None:
-                return _with_odds(segment[: k + 1], odds[: k + 1]), state
-        return _with_odds(segment, odds), None
+                break
+        return _with_odds(segment, odds[: len(segment)]), state
 
-    def _faced(self, run: Runner, row: Followed, person: Seen) -> tuple[State | None, Followed]:
-        """A frame, tracked from what the eye sees where that is better: the state after it, or None, and the frame."""
-        body, at = run.body, row.first
-        pose = poses_of(body, person)
-        if pose is None or facing(on_host(body), row.rotation)[0] @ person.front > -1 / TURNED:
-            return None, row
+    def _faced(self, run: Runner, row: Followed, person: Seen) -> tuple[float, Followed, State | None]:
+        """Odds of a frame, tracked from what the eye sees there if that is better, the frame, and then the state after
+        it."""
+        body, at = on_host(run.body), row.first
+        odds = lambda row: TURNED * (MOSTLY + float(np.vdot(facing(body, row.rotation)[0], person.front)))  # noqa: E731
+        if odds(row) >= TURNED * MOSTLY - 1 or (pose := poses_of(run.body, person)) is None:
+            return odds(row), row, None
         frames = run.frames(at, at + 1)
-        tried = run.trials(body, frames, [pose, *standing_places(body, frames, run.scene.floor, 1, person.front)])
-        best = int(np.argmin(tried.cost * turned(body, tried.state.poses.rotation, person.front)))
-        state, step, _ = run.chunk(at_rest(tried.state.poses[best]), at, 1)
+        tried = run.trials(run.body, frames, [pose, *standing_places(body, frames, run.scene.floor, 1, person.front)])
+        costs = tried.cost * turned(body, np.asarray(tried.state.poses.rotation), person.front)
+        poses = tried.state.poses[int(np.argmin(costs))]
+        state, step, _ = run.chunk(at_rest(poses), at, 1)
         other = segment_of(run, step, at, 1)
-        costs = [one.cost * turned(body, one.rotation, person.front) for one in (other, row)]
-        return (state, other) if costs[0] < costs[1] else (None, row)
+        new, old = (float(one.cost[0] * turned(body, one.rotation, person.front)[0]) for one in (other, row))
+        return (odds(other), other, state) if new < old else (odds(row), row, None)
 
     def _cheaper(self, run: Runner, segment: Followed) -> Followed:
         """The segment, or that of the body turned round at its start, whichever costs less."""
