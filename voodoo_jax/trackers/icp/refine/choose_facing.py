@@ -1,6 +1,6 @@
 """Turns a body round where the learned eye sees it face the other way: at the start, or after a movement that lost it.
-Back to front it explains the points hardly worse. A body that the eye does not see is tracked both ways. If nothing later
-is looked at, the body continues in the pose that is seen. Host side."""
+Back to front it explains the points hardly worse. A body that the eye does not see is tracked both ways. If nothing
+later is looked at, the body continues in the pose that is seen. Host side."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
