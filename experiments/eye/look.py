@@ -85,7 +85,7 @@ def hips(joints: np.ndarray) -> np.ndarray:
 
 def people(weights: Path, points: np.ndarray, sensor: np.ndarray, most: int = 1, least: float = 0.0) -> list[Seen]:
     """Whoever is in a scene, from scratch: all columns, the surest first; `least` logarithm of the odds."""
-    points = thinned(points[(points[:, 2] > FLOOR) & (points[:, 2] < HIGH)].astype(float))
+    points = thinned(points[(points[:, 2] > FLOOR) & (points[:, 2] < HIGH)].astype(float))[0]
     cells, count = np.unique(np.floor(points[:, :2] / CELL).astype(int), axis=0, return_counts=True)
     middles = []
     for cell in cells[np.argsort(-count)]:

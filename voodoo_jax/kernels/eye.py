@@ -21,6 +21,7 @@ LEFT, RIGHT = ([JOINTS.index(f"{side}_{name}") for name in ("shoulder", "hip")] 
 OTHER = np.array([JOINTS.index({"l": "r", "r": "l"}[n[0]] + n[1:] if n[1] == "_" else n) for n in JOINTS])
 # the weights hold for these alone, see experiments/eye: heads, directions of facing, highest voxel in metres
 HEADS, BINS, HIGH = 4, 34, 2.4
+PARTS = 13  # of the body, the first classes of a voxel; then background, somebody else
 WAVES = np.array([1.0, 2.0, 4.0, 8.0]) * np.pi / HIGH  # of positions, radians per metre, as in experiments/eye
 LAYERS = ("n", "qkv", "p", "m", "u", "ub", "d")  # weights with an axis of layers
 # derived: directions spread evenly over the sphere (Fibonacci lattice, Gonzalez 2010,

@@ -28,7 +28,7 @@ REST = np.asarray(flexible_body(BODY, float(BODY.scale)).rest)
 
 
 def said(front: tuple[float, float, float], spread: float = 0.1, other: bool = False) -> Seen:
-    return Seen(CENTRE[OTHER] if other else CENTRE, np.full(len(JOINTS), spread), np.array(front))
+    return Seen(CENTRE[OTHER] if other else CENTRE, np.full(len(JOINTS), spread), np.array(front), np.ones(1))
 
 
 def looked(monkeypatch: pytest.MonkeyPatch, each: list[Seen | None]) -> dict[int, np.ndarray]:

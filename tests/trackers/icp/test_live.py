@@ -9,13 +9,19 @@ import pytest
 from tests.trackers.icp.test_online import SETTINGS as ONLINE
 from voodoo_jax.config.options import Change, Settings, SettingsError
 from voodoo_jax.detect.pipeline import find_body
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.base import LogInfo, Task
+from voodoo_jax.trackers.icp import live, sequence
+from voodoo_jax.trackers.icp.initialise import begin
 from voodoo_jax.trackers.icp.live import LiveTracker
+from voodoo_jax.trackers.icp.refine.choose_facing import EVERY, turned_round
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 from voodoo_jax.trackers.of_points import track_person
 
 # as long as the program of a live tracker: one is compiled for both
@@ -99,6 +105,23 @@ def test_a_start_in_doubt_and_one_that_is_lost(demo):
     seen = [beside(f) if k < 33 else f if k < 50 else cut(f) for k, f in enumerate(people)]
     whole, _ = compared(scene, seen)
     assert (whole.status[:30] == Status.LOST).all() and whole.tracked[56:].all()
+
+
+def test_who_is_begun_back_to_front_is_turned(demo, monkeypatch):
+    scene, people = demo
+
+    def turned(run: Runner, at: int, before: Poses | None) -> StartHypothesis:
+        start = begin(run, at, before)
+        run.facing = 1.0  # the eye is not asked before the next look is due
+        return start._replace(poses=turned_round(start.poses, run.scene.floor.normal))
+
+    people = [people[0].only(NONE), *people[1:30]]  # it begins after the first look
+    usual = track_person(Task(human(), LogInfo("demo", "base"), SETTINGS), scene, people)
+    for module in (live, sequence):
+        monkeypatch.setattr(module, "begin", turned)
+    whole, _ = compared(scene, people)
+    apart = np.linalg.norm(whole.joints - usual.joints, axis=-1).mean(1)
+    assert apart[1:EVERY].min() > 0.1 and apart[EVERY + 3 :].max() < 0.05
 
 
 def test_settings_that_need_what_is_not_there_yet(demo):

@@ -75,7 +75,8 @@ def test_who_goes_and_comes_back(demo):
 
 
 def test_a_start_in_doubt_is_made_good(demo):
-    """A cupboard beside the person, taken for a part of them: once it is told apart, size and pose are found anew."""
+    """A cupboard beside the person, taken for a part of them: the eye tells most of it apart. Once it is gone, size and
+    pose are found anew."""
     scene, people, _ = demo
     middle = np.median(people[0].points, 0)
     grid = np.stack(np.meshgrid(np.linspace(-0.35, 0.35, 18), np.linspace(0.05, 1.3, 30)), -1).reshape(-1, 2)
@@ -95,7 +96,7 @@ def test_a_start_in_doubt_is_made_good(demo):
     usual, found = tracks_of(scene, people), tracks_of(scene, beside)
     assert float(found.body.scale) == pytest.approx(float(usual.body.scale), rel=0.02)
     apart = np.linalg.norm(found.joints - usual.joints, axis=2)
-    assert apart[10:40].mean() > 0.05 and apart[62:].max() < 0.06
+    assert apart[:40].mean() < 0.03 and apart[62:].max() < 0.06
     assert found.tracked[62:].all() and (found.status[:30] == Status.LOST).all()
 
 

@@ -30,17 +30,17 @@ from voodoo_jax.trackers.icp.confidence import rate_joints
 from voodoo_jax.trackers.icp.diagnostics import log_doubts, notes_on
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.joint_spread import with_passes
-from voodoo_jax.trackers.icp.pipeline import PLACE
+from voodoo_jax.trackers.icp.pipeline import PLACE, REFINE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
 from voodoo_jax.trackers.icp.runner import THING_FRAMES, Runner
-from voodoo_jax.trackers.icp.stage import is_active
+from voodoo_jax.trackers.icp.stage import is_active, looked
 from voodoo_jax.trackers.icp.tracker import finished, tracks_of
 from voodoo_jax.trackers.shared import eye
 from voodoo_jax.trackers.shared.confidence import AROUND
 from voodoo_jax.trackers.shared.report import looked_at, padded
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 from voodoo_jax.trackers.shared.segment import Followed, segment_of
-from voodoo_jax.trackers.shared.sequence import DOUBT, SPAN, WRONG
+from voodoo_jax.trackers.shared.sequence import DOUBT, SPAN
 
 KEPT = 64  # frames whose points stay in memory: any gives the same that is more than a start looks back or ahead
 
@@ -75,7 +75,7 @@ class LiveRunner(Runner):
     def one(self, state: State, at: int) -> tuple[State, Followed]:
         """One frame, tracked from the state after the one before."""
         previous = self.people[at - 1].time_ns if at else None
-        state, step, left_out = self._tracked(state, self.people[at : at + 1], previous)
+        state, step, left_out = self._tracked(state, self.frames(at, at + 1), previous)
         self.left_out += left_out
         return state, segment_of(self, step, at, 1)
 
@@ -180,7 +180,7 @@ class LiveTracker:
     def _followed(self) -> Iterator[Followed | None]:
         """The result of each frame; None if another frame is needed first."""
         run, state, before, at = self.run, None, None, 0
-        tried, doubt = -1, False  # until that frame nothing is given up as lost
+        tried = -1  # until that frame nothing is given up as lost
         yield from self._until(0)
         while self._there(at) and not self._enough[at]:
             yield self._blank(at, Status.NOT_STARTED)
@@ -199,12 +199,13 @@ class LiveTracker:
                     continue
                 start = begin(run, at, before)
                 state = at_rest(start.poses)
-                doubt = start.unexplained > WRONG * self.settings.start.sure
-            chunk = _Chunk(at, min(DOUBT if doubt else SPAN, self.settings.track.chunk), tried < at, self.settings)
+            chunk = _Chunk(at, min(DOUBT if run.doubt else SPAN, self.settings.track.chunk), tried < at, self.settings)
             while self._there(at) and not chunk.over and not (run.people[at].other and at > chunk.first):
-                state, row = run.one(state, at)
-                chunk.take(row)
-                status = row.status if not doubt else np.where(row.tracked, Status.LOST, row.status).astype(np.int8)
+                after, row = run.one(state, at)
+                row, mended = looked(run, row, REFINE)
+                state = mended or after
+                chunk.take(row, mended is not None)
+                status = row.status if not run.doubt else np.where(row.tracked, Status.LOST, row.status).astype(np.int8)
                 yield replace(row, status=status)
                 at += 1
                 yield from self._until(at)
@@ -214,10 +215,10 @@ class LiveTracker:
                     yield self._blank(at, Status.NO_DATA)
                     at += 1
                     yield from self._until(at)
-            elif doubt and chunk.full and self._there(at):
+            elif run.doubt and chunk.full and self._there(at):
                 yield from self._start_frames(at)
                 if (better := clearer(run, at)) is not None:
-                    state, doubt = at_rest(better.poses), False
+                    state = at_rest(better.poses)
 
 
 class _Chunk:
@@ -227,8 +228,10 @@ class _Chunk:
         self.first, self._most, self._may_be_lost = first, most, may_be_lost
         self._patience, self._statuses = settings.track.patience, list[int]()
         self._poses: list[Poses] = []
+        self._ends = False  # its last frame's pose was mended
 
-    def take(self, row: Followed) -> None:
+    def take(self, row: Followed, ends: bool) -> None:
+        self._ends = ends
         self._statuses.append(int(row.status[0]))
         self._poses = [*self._poses[-self._patience :], row.pose_at(0)]
 
@@ -238,7 +241,7 @@ class _Chunk:
 
     @property
     def full(self) -> bool:
-        return len(self._statuses) >= self._most
+        return self._ends or len(self._statuses) >= self._most
 
     @property
     def gone(self) -> bool:

@@ -10,10 +10,11 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Status
+from voodoo_jax.solve.scan import State
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import backwards
-from voodoo_jax.trackers.icp.stage import Named, Stage, is_active, refined
+from voodoo_jax.trackers.icp.stage import Named, Stage, is_active, looked, refined
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 from voodoo_jax.trackers.shared.segment import Followed
 from voodoo_jax.trackers.shared.sequence import Method, Progress, follow
@@ -30,6 +31,9 @@ class Stages(Method):
 
     def clearer(self, run: Runner, at: int) -> StartHypothesis | None:
         return clearer(run, at)
+
+    def looked(self, run: Runner, found: Followed) -> tuple[Followed, State | None]:
+        return looked(run, found, self.stages)
 
     def refine(self, run: Runner, segment: Followed) -> Followed:
         return refined(run, segment, self.stages)

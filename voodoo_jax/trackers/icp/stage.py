@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Protocol, runtime_checkable
 
 from voodoo_jax.detect.stage import Named as Named
+from voodoo_jax.solve.scan import State
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.shared.segment import Followed
 
@@ -16,6 +17,13 @@ class Stage(Named, Protocol):
     """A correction of a tracked segment. It returns the same segment if it changes nothing."""
 
     def __call__(self, run: Runner, segment: Followed) -> Followed: ...
+
+
+@runtime_checkable
+class CausalStage(Named, Protocol):
+    """A stage that also corrects frames by earlier ones alone."""
+
+    def so_far(self, run: Runner, segment: Followed) -> tuple[Followed, State | None]: ...
 
 
 def is_active(run: Runner, stage: Named) -> bool:
@@ -30,3 +38,12 @@ def refined(run: Runner, segment: Followed, stages: Iterable[Stage]) -> Followed
         if is_active(run, stage):
             segment = stage(run, segment)
     return segment
+
+
+def looked(run: Runner, segment: Followed, stages: Iterable[Stage]) -> tuple[Followed, State | None]:
+    """Frames that were just tracked, after the stage that corrects them by earlier ones: see Method.looked."""
+    for stage in stages:
+        off = run.settings.skips("track", stage.name, False) or not stage.needs <= run.offers
+        if isinstance(stage, CausalStage) and not off:
+            return stage.so_far(run, segment)
+    return segment, None

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
@@ -15,7 +16,7 @@ from voodoo_jax.compile.executable import program
 from voodoo_jax.geometry.arrays_file import arrays_in
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.kernels.eye import HIGH, JOINTS, LEFT, OTHER, RIGHT, Params, ahead, forward, named
+from voodoo_jax.kernels.eye import HIGH, JOINTS, LEFT, OTHER, PARTS, RIGHT, Params, ahead, forward, named
 from voodoo_jax.markers.first_pose import first_poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
@@ -37,11 +38,12 @@ class Seen(NamedTuple):
     joints: Float[np.ndarray, "joint 3"]  # metres, fixed frame; in the order of kernels.eye.JOINTS
     spread: Float[np.ndarray, " joint"]  # their error, metres
     front: Float[np.ndarray, "3"]  # where the trunk faces, as long as the logarithm of the odds of that
+    own: Float[np.ndarray, " point"]  # probability that each of the frame's points is theirs
 
     @property
     def exchanged(self) -> "Seen":
         """The person with left and right exchanged: the eye takes a front for a back sometimes."""
-        return Seen(self.joints[OTHER], self.spread[OTHER], -self.front)
+        return Seen(self.joints[OTHER], self.spread[OTHER], -self.front, self.own)
 
 
 OWN = Path(__file__).with_name("eye.npz")
@@ -55,11 +57,14 @@ def weights(path: Path = OWN) -> Params:
 
 
 @program
-def predict(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"]) -> tuple[Array, Array, Array]:
+def predict(
+    p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"]
+) -> tuple[Array, Array, Array, Array]:
     """Joints, logarithm of their error, direction in which the trunk faces, as long as the logarithm of the odds of
-    that; in the frame of the view."""
+    that, in the frame of the view; probability that each voxel is on the person."""
     said, odds = named(forward(p, tok, sensor))
-    return said.joints, said.spread, odds * ahead(said.joints)
+    own = jax.nn.softmax(said.part)[:, :PARTS].sum(-1)
+    return said.joints, said.spread, odds * ahead(said.joints), own
 
 
 def prepare(body: Body) -> None:
@@ -70,7 +75,8 @@ def prepare(body: Body) -> None:
 
 def seen(frame: BodyObservation, floor: Plane) -> Seen | None:
     """The person whose points these are; None without points above the floor."""
-    points, up = frame.points[floor.height(frame.points) > FLOOR].astype(float), floor.normal.astype(float)
+    above, up = floor.height(frame.points) > FLOOR, floor.normal.astype(float)
+    points, own = frame.points[above].astype(float), above.astype(float)
     if not len(points):
         return None
     sensor = frame.origins[int(np.bincount(frame.sensor).argmax())].astype(float)
@@ -78,12 +84,13 @@ def seen(frame: BodyObservation, floor: Plane) -> Seen | None:
     while True:
         foot = column - (column @ up - floor.offset) * up
         turn = view(sensor - foot, up)
-        at, eye = thinned((points - foot) @ turn.T), (sensor - foot) @ turn.T
-        far = np.array([np.hypot(*eye[:2]), eye[2]], np.float32)
-        joints, spread, front = map(np.asarray, predict(weights(), tokens(at)[0], far))
+        (at, thin), eye = thinned((points - foot) @ turn.T), (sensor - foot) @ turn.T
+        far, (voxels, which) = np.array([np.hypot(*eye[:2]), eye[2]], np.float32), tokens(at)
+        joints, spread, front, share = map(np.asarray, predict(weights(), voxels, far))
         hips, looks = joints[[LEFT[1], RIGHT[1]], :2].mean(0), looks - 1
         if looks == 0 or np.linalg.norm(hips) < NEAR:
-            return Seen(joints @ turn + foot, np.exp(spread), front @ turn)
+            own[above] = np.append(share, 0.0)[which[thin]]  # farther off than all voxels: nothing of theirs
+            return Seen(joints @ turn + foot, np.exp(spread), front @ turn, own)
         column = foot + hips @ turn[:2]
 
 
@@ -95,10 +102,13 @@ def view(sensor: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np
     return np.stack([x, np.cross(up, x), up])
 
 
-def thinned(points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "some 3"]:
-    """One point in each small voxel."""
+def thinned(
+    points: Float[np.ndarray, "point 3"],
+) -> tuple[Float[np.ndarray, "some 3"], Int[np.ndarray, " point"]]:
+    """One point in each small voxel, and which one is in that of each point."""
     key = np.floor(points / THIN).astype(np.int64) @ [4096**2, 4096, 1]
-    return points[np.unique(key, return_index=True)[1]]
+    _, first, which = np.unique(key, return_index=True, return_inverse=True)
+    return points[first], which
 
 
 def tokens(

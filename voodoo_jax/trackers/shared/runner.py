@@ -67,6 +67,7 @@ class FrameRunner:
         stamps = np.array([f.time_ns for f in people], np.int64)
         self.pending = [(int(np.searchsorted(stamps, first + round(c.time * 1e9))), c) for c in changes]
         self.others = [k for k, f in enumerate(people) if f.other]  # frames in which something else becomes the body
+        self.doubt = False  # whether its start is in doubt, and nothing later is looked at
         self.left_out = 0  # points beyond settings.detect.points
         self.names = FeatureNames(body.topology, settings.features)
         named = [(*f.rays.names, *f.pairs.names) for f in people]
@@ -85,6 +86,10 @@ class FrameRunner:
     def can_start(self, at: int) -> bool:
         """Whether the frames from `at` on have measurements to start from."""
         return True
+
+    def frames(self, first: int, end: int) -> list[BodyObservation]:
+        """Frames `first` to `end` - 1, of which the body is tracked."""
+        return self.people[first:end]
 
     def look_for(self, thing: str, limbs: list[int], at: int, state: State) -> None:
         """Finds the direction of a held object from frame `at` on; unchanged if it is undetermined."""
@@ -162,7 +167,7 @@ class FrameRunner:
         """Tracks up to one chunk of frames from `at`, at most that many, up to the next change of the body; the number
         tracked."""
         end = min([at + min(most, self.settings.track.chunk), *(frame for frame, _ in self.pending), *self.others])
-        frames = self.people[at:end]
+        frames = self.frames(at, end)
         previous = self.people[at - 1].time_ns if at else None
         state, step, left_out = self._tracked(state, frames, previous)
         self.left_out += left_out

@@ -23,7 +23,6 @@ from voodoo_jax.trackers.shared.segment import Followed, Start, segment_of
 Progress = Callable[[int], None]
 SPAN = 512  # frames after which a segment is tracked back, even if it goes on
 MOST = 2  # spans whose refinement may wait while others are tracked: two cores are busy with as many
-WRONG = 4  # times what a start that is sure may leave unexplained: it is in doubt
 DOUBT = 15  # frames after which a start that is in doubt is compared with another one, if nothing later is looked at
 OVERLAP = 30  # frames of a span that the next one goes back over: a pass is not good before it has settled
 
@@ -45,6 +44,11 @@ class Method:
 
     def clearer(self, run: Any, at: int) -> Start | None:
         """A certain start in frame `at`, if there is one; for doubtful starts without later frames."""
+
+    def looked(self, run: Any, found: Followed) -> tuple[Followed, State | None]:
+        """Frames that were just tracked, up to the first one whose pose was mended, and the state after that one; all,
+        and None, if none was. For tracking without later frames."""
+        return found, None
 
     def refines(self, run: Any) -> bool:
         """Whether segments are refined."""
@@ -94,7 +98,7 @@ class Refining:
         return None
 
 
-# 68 lines: one state machine, whose steps share eight variables
+# 70 lines: one state machine, whose steps share eight variables
 def follow(
     run: FrameRunner,
     at: int,
@@ -113,7 +117,7 @@ def follow(
     state: State | None = None
     start: Start | None = None  # of the present span
     before: Poses | None = None  # the last ones before the body was gone
-    tried, doubt = -1, False
+    tried = -1
     say(at)
     while at < count:
         state = run.change(at, state)
@@ -127,15 +131,17 @@ def follow(
         if state is None:
             start = method.begin(run, at, before)
             state = at_rest(start.poses)
-            doubt = not ahead and start.unexplained > WRONG * run.settings.start.sure
-        after, step, taken = run.chunk(state, at, DOUBT if doubt else SPAN)
+        after, step, taken = run.chunk(state, at, DOUBT if run.doubt else SPAN)
         found = segment_of(run, step, at, taken)
+        if not ahead:
+            found, mended = method.looked(run, found)
+            after, taken = mended or after, len(found)
         # gone or lost for long: stop here and look anew
         gone = first_run(found.status == Status.NO_DATA, patience)
         lost = first_run(found.status == Status.LOST, patience) if tried < at else taken
         known = gone + wait if gone < taken else taken
         keep = min(known, lost + patience if lost < taken else taken, taken)
-        if doubt:
+        if run.doubt:
             found = replace(found, status=np.where(found.tracked, Status.LOST, found.status).astype(np.int8))
         out.put(found[:keep])
         at, state = at + keep, after
@@ -151,8 +157,8 @@ def follow(
             if span.end < at:
                 at = span.end
                 continue
-        if doubt and keep == taken and at < count and (better := method.clearer(run, at)) is not None:
-            state, doubt = at_rest(better.poses), False
+        if run.doubt and keep == taken and at < count and (better := method.clearer(run, at)) is not None:
+            state = at_rest(better.poses)
         if keep < taken:
             state = before = None
             if known == keep:

@@ -10,7 +10,6 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.trackers.icp.pipeline import SETTLE
-from voodoo_jax.trackers.icp.refine import choose_facing
 from voodoo_jax.trackers.icp.refine.choose_facing import EVERY, ChooseFacing, turned_round
 from voodoo_jax.trackers.icp.segment import forwards
 from voodoo_jax.trackers.icp.stage import refined
@@ -53,6 +52,19 @@ def test_a_body_that_began_back_to_front_is_turned_and_a_right_one_stays(seen):
     assert (kept.facing_odds > 0.1).all() and (found.facing_odds > 0.1).all()
 
 
+def test_without_later_frames_the_first_look_that_tells_turns_the_body(seen):
+    sim, run, truth, turned = seen
+    right, wrong = (forwards(run, poses, 0, COUNT) for poses in (truth, turned))
+    kept, none = ChooseFacing().so_far(run, right)
+    assert none is None and np.array_equal(kept.rotation, right.rotation) and (kept.facing_odds > 0.1).all()
+    run.facing = 1.0  # of a look before: the next one is due in frame EVERY
+    found, state = ChooseFacing().so_far(run, wrong[1:])
+    assert state is not None and found.end == EVERY + 1 and (found.facing_odds > 0.1).all()
+    np.testing.assert_array_equal(found.rotation[:-1], wrong.rotation[1:EVERY])
+    other = forwards(run, state.poses, EVERY, COUNT)
+    assert facing(BODY, other.rotation)[-1] @ facing(BODY, right.rotation)[-1] > 0.9
+
+
 def test_only_the_stretch_that_is_back_to_front_is_tracked_again(seen):
     sim, run, truth, turned = seen
     right, later = begun(run, truth), np.arange(COUNT) >= 2 * EVERY
@@ -64,7 +76,7 @@ def test_only_the_stretch_that_is_back_to_front_is_tracked_again(seen):
 
 def test_without_the_eye_both_ways_are_tracked(seen, monkeypatch):
     sim, run, truth, turned = seen
-    monkeypatch.setattr(choose_facing, "person_in", lambda run, frame: None)
+    monkeypatch.setattr(run, "person_in", lambda frame: None)
     for poses in (truth, turned):
         found = ChooseFacing()(run, begun(run, poses))
         assert error(sim, found).mean() < 0.03 and (found.facing_odds > 0.1).all()

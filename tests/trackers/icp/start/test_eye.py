@@ -15,8 +15,7 @@ from voodoo_jax.kernels.eye import JOINTS
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.trackers.icp.refine.choose_facing import turned_round
-from voodoo_jax.trackers.icp.start import hypothesis
-from voodoo_jax.trackers.icp.start.hypothesis import best_from, person_in, trial, turned
+from voodoo_jax.trackers.icp.start.hypothesis import best_from, trial, turned
 from voodoo_jax.trackers.icp.trials import facing
 from voodoo_jax.trackers.shared import eye
 
@@ -47,7 +46,7 @@ def somebody(tmp_path_factory):
 
 def test_it_sees_where_joints_are_and_which_way_they_face(somebody):
     sim, run = somebody
-    person = person_in(run, run.people[0])
+    person = run.person_in(run.people[0])
     truth = sim.joints[0][[BODY.topology.centres.index(name) for name in JOINTS]]
     assert person is not None
     away = np.linalg.norm(person.joints - truth, axis=1)
@@ -88,7 +87,7 @@ def test_voxels_hold_all_points_about_the_column():
 def test_the_body_takes_on_the_joints_that_are_seen(somebody):
     sim, run = somebody
     wanted = sim.joints[0][[BODY.topology.centres.index(name) for name in JOINTS]]
-    person = eye.Seen(wanted, np.full(len(JOINTS), 0.1), np.zeros(3))
+    person = eye.Seen(wanted, np.full(len(JOINTS), 0.1), np.zeros(3), np.ones(1))
     poses = eye.poses_of(BODY, person)
     assert poses is not None and np.linalg.norm(joints_of(poses) - wanted, axis=1).max() < 0.03
     assert eye.poses_of(BODY, person._replace(spread=np.ones(len(JOINTS)))) is None
@@ -99,9 +98,9 @@ def test_dogs_and_unknown_floors_are_not_looked_at(somebody):
     _, run = somebody
     run = run.anew(run.people)
     run.scene = replace(run.scene, floor_open=True)
-    assert person_in(run, run.people[0]) is None
+    assert run.person_in(run.people[0]) is None
     run.scene, run.body = replace(run.scene, floor_open=False), load_body("dog")
-    assert person_in(run, run.people[0]) is None
+    assert run.person_in(run.people[0]) is None
 
 
 def test_a_start_that_is_turned_costs_more(somebody, monkeypatch):
@@ -110,9 +109,9 @@ def test_a_start_that_is_turned_costs_more(somebody, monkeypatch):
     right = on_host(trial(run, 0, BODY).poses)
     wrong = turned_round(right, run.scene.floor.normal)
     costs = [best_from(run, 0, BODY, [poses]).cost for poses in (right, wrong)]
-    front = person_in(run, run.people[0]).front
+    front = run.person_in(run.people[0]).front
     assert turned(BODY, right.rotation[None], front) == 1 and turned(BODY, wrong.rotation[None], front) > 2
-    monkeypatch.setattr(hypothesis, "person_in", lambda run, frame: None)
+    monkeypatch.setattr(run, "person_in", lambda frame: None)
     plain = [best_from(run, 0, BODY, [poses]).cost for poses in (right, wrong)]
     assert costs[0] == pytest.approx(plain[0]) and costs[1] > 1.5 * plain[1]
 

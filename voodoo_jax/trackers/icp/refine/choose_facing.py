@@ -1,5 +1,6 @@
 """Turns a body round where the learned eye sees it face the other way: at the start, or after a movement that lost it.
-Back to front it explains the points hardly worse. A body that the eye does not see is tracked both ways. Host side."""
+Back to front it explains the points hardly worse. A body that the eye does not see is tracked both ways. If nothing
+later is looked at, the body continues in the pose that is seen. Host side."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
@@ -11,10 +12,11 @@ from voodoo_jax.geometry.rigid import Poses, compose, on_host, rotate
 from voodoo_jax.model.body import Body, rest_height
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.stretches import stretches
+from voodoo_jax.solve.scan import State, at_rest
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import pass_of, tracked_anew
-from voodoo_jax.trackers.icp.start.hypothesis import TURNED, StartHypothesis, best_from, person_in, tried_on, turned
+from voodoo_jax.trackers.icp.start.hypothesis import TURNED, StartHypothesis, best_from, tried_on, turned
 from voodoo_jax.trackers.icp.trials import facing, standing_places
 from voodoo_jax.trackers.shared.eye import Seen, poses_of
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
@@ -72,6 +74,37 @@ class ChooseFacing:
         odds = TURNED * (MOSTLY + looks.odds(run.body, segment))
         return _with_odds(segment, np.interp(np.arange(len(segment)), looks.frame, odds))
 
+    def so_far(self, run: Runner, segment: Followed) -> tuple[Followed, State | None]:
+        """Frames that were just tracked, where nothing later is looked at: up to the first in which the body is turned,
+        and the state after that one; all, and None, if it is turned in none."""
+        odds, state = np.full(len(segment), np.nan), None
+        for k in range(len(segment)):
+            frame = run.people[segment.first + k]
+            due = ((segment.first + k) % EVERY == 0 or np.isnan(run.facing)) and len(frame.points) >= FEW_POINTS
+            if due and (person := run.person_in(frame)) is not None:
+                run.facing, row, state = self._faced(run, segment[k : k + 1], person)
+                segment = segment if state is None else segment[:k].joined(row)
+            odds[k] = run.facing
+            if state is not None:
+                break
+        return _with_odds(segment, odds[: len(segment)]), state
+
+    def _faced(self, run: Runner, row: Followed, person: Seen) -> tuple[float, Followed, State | None]:
+        """Odds of a frame, tracked from what the eye sees there if that is better, the frame, and then the state after
+        it."""
+        body, at = on_host(run.body), row.first
+        odds = lambda row: TURNED * (MOSTLY + float(np.vdot(facing(body, row.rotation)[0], person.front)))  # noqa: E731
+        if odds(row) >= TURNED * MOSTLY - 1 or (pose := poses_of(run.body, person)) is None:
+            return odds(row), row, None
+        frames = run.frames(at, at + 1)
+        tried = run.trials(run.body, frames, [pose, *standing_places(body, frames, run.scene.floor, 1, person.front)])
+        costs = tried.cost * turned(body, np.asarray(tried.state.poses.rotation), person.front)
+        poses = tried.state.poses[int(np.argmin(costs))]
+        state, step, _ = run.chunk(at_rest(poses), at, 1)
+        other = segment_of(run, step, at, 1)
+        new, old = (float(one.cost[0] * turned(body, one.rotation, person.front)[0]) for one in (other, row))
+        return (odds(other), other, state) if new < old else (odds(row), row, None)
+
     def _cheaper(self, run: Runner, segment: Followed) -> Followed:
         """The segment, or that of the body turned round at its start, whichever costs less."""
         if not isinstance(segment.start, StartHypothesis):  # it goes on from a span that was asked
@@ -110,7 +143,7 @@ def looks_at(run: Runner, segment: Segment) -> Looks:
     """What the eye sees in every n-th frame of a segment that has points."""
     people = run.people[segment.first : segment.end]
     at = [k for k in range(0, len(people), EVERY) if len(people[k].points) >= FEW_POINTS]
-    found = [(k, person) for k in at if (person := person_in(run, people[k])) is not None]
+    found = [(k, person) for k in at if (person := run.person_in(people[k])) is not None]
     return Looks(np.array([k for k, _ in found], int), [person for _, person in found])
 
 

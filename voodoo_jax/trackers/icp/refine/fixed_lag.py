@@ -1,6 +1,6 @@
 """Delayed results: a backward pass from the permitted delay after each frame, combined with the forward pass."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -33,4 +33,4 @@ class FixedLag:
             if now < len(segment):
                 now = max(at + 1, int(np.searchsorted(time, time[seen - 1] - lag / 2, "right")))
             found = found.joined(self.passes(run, segment[at:seen])[: now - at])
-        return found
+        return replace(found, facing_odds=segment.facing_odds)  # it faces as it did

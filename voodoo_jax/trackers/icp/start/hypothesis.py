@@ -14,7 +14,7 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.body_size import rarity, sized
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.trials import facing, standing_places
-from voodoo_jax.trackers.shared.eye import Seen, poses_of, seen
+from voodoo_jax.trackers.shared.eye import poses_of
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 LIKELIER = 0.8  # another stance than standing, or than the previous one, must cost less than this share; by hand
@@ -65,7 +65,7 @@ def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> tup
     """Poses to try in the last of some frames: at rest in headings all round; with a person seen by the learned eye, in
     fewer headings, and also in its pose. And factors on their costs: the eye's pose is another stance than standing,
     see LIKELIER."""
-    person = person_in(run, frames[-1])
+    person = run.person_in(frames[-1])
     pose = None if person is None else poses_of(body, person)
     if person is None or pose is None:
         rest = standing_places(body, frames[::-1], run.scene.floor, run.settings.start.headings)
@@ -73,15 +73,6 @@ def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> tup
     many = max(run.settings.start.headings // FEWER, 1)
     rest = standing_places(body, frames[::-1], run.scene.floor, many, person.front)
     return [*rest, pose], [1.0] * many + [1 / LIKELIER]
-
-
-def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
-    """The person in a frame as seen by the learned eye; None for other bodies and on an unknown floor."""
-    if run.body.scale_name != "stature" or run.scene.floor_open:
-        return None
-    if frame.time_ns not in run.seen:
-        run.seen[frame.time_ns] = seen(frame, run.scene.floor)
-    return run.seen[frame.time_ns]
 
 
 def turned(
@@ -97,7 +88,7 @@ def best_from(
 ) -> StartHypothesis:
     """The best of trials from some poses in frame `at`, chosen by costs times `factors`, and by facing, see turned."""
     frames, some = tried_on(run, at), run.people[at : at + run.settings.start.size_frames : EVERY]
-    tried, fronts = run.trials(body, frames, places), [p.front for f in some if (p := person_in(run, f)) is not None]
+    tried, fronts = run.trials(body, frames, places), [p.front for f in some if (p := run.person_in(f)) is not None]
     poses = tried.state.poses
     costs = tried.cost * (turned(body, np.asarray(poses.rotation), np.mean(fronts, 0)) if fronts else 1.0)
     best = int(np.argmin(costs * factors))
@@ -120,7 +111,7 @@ def measured_at(run: Runner, at: int, low: float = np.inf) -> Body:
 
     **Arguments:** `low` height of the lowest points above the floor while standing, metres, to correct for jumps."""
     s: StartSettings = run.settings.start
-    frames, up = run.people[at : at + s.size_frames], run.scene.floor.normal
+    frames, up = run.frames(at, at + s.size_frames), run.scene.floor.normal
     lifts = (lowest(run, frame) - low for frame in frames)
     lowered = [replace(f, points=f.points - by * up) if OFF_FLOOR < by < HIDDEN else f for f, by in zip(frames, lifts)]
     return sized(run.body, lowered, run.scene.floor, s)
@@ -134,7 +125,7 @@ def lowest(run: Runner, frame: BodyObservation) -> float:
 def tried_on(run: Runner, at: int) -> list[BodyObservation]:
     """The frames from `at` on that trials are compared over."""
     s: StartSettings = run.settings.start
-    return soon([f for f in run.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS], s)
+    return soon([f for f in run.frames(at, at + 3 * s.frames) if len(f.points) >= FEW_POINTS], s)
 
 
 def soon(frames: list[BodyObservation], s: StartSettings) -> list[BodyObservation]:
