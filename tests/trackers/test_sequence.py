@@ -29,7 +29,7 @@ class Counting(FrameRunner):
     def __init__(self):
         self.settings, self.people = Settings(), [None] * FRAMES
         self.others, self.named, self.featured = [], np.zeros(FRAMES, bool), np.zeros(FRAMES, bool)
-        self.tracked = 0
+        self.tracked, self.doubt = 0, False
 
     def can_start(self, at):
         return True
