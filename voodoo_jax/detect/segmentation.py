@@ -202,7 +202,7 @@ class BodySegmenter:
             steps = 1
             while count * STEP**steps >= ENOUGH * kept:
                 steps += 1
-            self._steps, self.last = self._steps + steps, self.last[even_share(STEP**steps, count)]
+            self._steps, self.last = self._steps + steps, picked(self.last, even_share(STEP**steps, count))
         elif count < kept:
             self._steps = max(0, self._steps - 1)
 

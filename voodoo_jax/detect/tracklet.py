@@ -13,7 +13,7 @@ from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.motion import Motion
 from voodoo_jax.detect.segmentation import SOME, SPEED, STILL, BodySegmenter
 from voodoo_jax.detect.visibility import Nearest
-from voodoo_jax.geometry.point_cloud import quantile
+from voodoo_jax.geometry.point_cloud import picked, quantile
 from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.records.observation import BodyObservation
 
@@ -100,12 +100,12 @@ class Tracklet:
         finder.hidden = bool(hidden.mean() > HIDDEN)
         if finder.hidden:
             # a walking person also walks on behind another one
-            some = some[hidden] + self._velocity() * np.float32(seconds)
+            there = picked(some, hidden.nonzero()[0]) + self._velocity() * np.float32(seconds)
             if not finder.unseen:
-                some = some[~touching(cells_of(some, STILL), cells_of(finder.last, STILL))]
-                finder.last = np.concatenate([finder.last, some])
+                apart = ~touching(cells_of(there, STILL), cells_of(finder.last, STILL))
+                finder.last = np.concatenate([finder.last, picked(there, apart.nonzero()[0])])
             elif finder.unseen * seconds < BLIND:
-                finder.last = np.concatenate([some, before[:: len(before) // SOME + 1][~hidden]])
+                finder.last = np.concatenate([there, picked(some, (~hidden).nonzero()[0])])
 
     def _velocity(self) -> Float32[np.ndarray, "3"]:
         """Horizontal velocity when it was last wholly visible, metres per second."""
