@@ -50,9 +50,9 @@ DEEP, TOGETHER, PLENTY = 0.01, 0.05, 20.0
 # are said to be right with 0.01 by them, with 0.31 by right_scale alone
 STATURE, STATURES, USUAL, UNUSUAL, SMALL = 1.70, 0.095, 2.7, 2.0, 0.9
 EVERY = slice(None)
-# how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
-# limbs are bare; from experiments/trust/elsewhere.py
-SURELY, LESS_SURE = 18.8, (-2.98, -1.26)
+# by how much less (logarithm) the odds of facing tell where points are beside limbs and limbs are bare; from
+# experiments/trust/elsewhere.py
+LESS_SURE = (-2.98, -1.26)
 
 
 class Trust(NamedTuple):
@@ -244,8 +244,7 @@ def facing_right(tracks: Tracks, ill: Float[np.ndarray, "frame 2"]) -> Float[np.
         return out
     known = np.flatnonzero(np.isfinite(facing))
     at = known[np.maximum(np.searchsorted(known, np.arange(len(out)), "right") - 1, 0)]
-    odds = facing[at].astype(float)
-    out[:, sides] = expit(SURELY * np.exp(ill @ np.array(LESS_SURE)) * odds)[:, None]
+    out[:, sides] = expit(facing[at].astype(float))[:, None]
     return out
 
 
