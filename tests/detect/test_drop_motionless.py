@@ -31,6 +31,19 @@ def test_what_never_moves_goes_and_who_sways_stays(rng, moving, gone):
     assert dropped(frames) == (gone, (NOTE,) if gone else ())
 
 
+@pytest.mark.parametrize("moving, kept", [(0.0, 40), (0.006, 80)])
+def test_who_moves_no_more_than_noise_from_some_frame_on_is_frozen(rng, moving, kept):
+    before, after = (watched(rng, [(block(0.45, 0.1, 1.75), sway(by))]) for by in (0.1, moving))
+    step = before[1].time_ns - before[0].time_ns
+    frames = [replace(f, time_ns=k * step) for k, f in enumerate([*before, *after])]
+    target = SimpleNamespace(
+        finder=SimpleNamespace(scene=Scene(FLOOR, (), True), lies=False), settings=None, stillness=Stillness()
+    )
+    left = list(STAGE(iter(frames), target))
+    assert abs(sum(len(f.points) > 0 for f in left) - kept) <= 2
+    assert len(target.finder.scene.notes) == (kept < 80)
+
+
 def test_noise_alone_is_seldom_taken_for_motion(rng):
     ratios = [directions(watched(rng, [(block(0.45, 0.1, 1.75), sway(0.0))])).ratio for _ in range(5)]
     assert all(np.mean(ratio < 0.6) < 0.05 and abs(np.median(ratio) - 1) < 0.1 for ratio in ratios)
