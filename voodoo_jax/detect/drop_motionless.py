@@ -17,7 +17,7 @@ NOTE = (
     "drop_motionless)."
 )
 FROZEN = (
-    "For the last {:.1f} s the person moves no more, not even as one who stands still: the sensor seems to be frozen, and "
+    "For the last {:.1f} s the person moves no more, not even as one who stands still: the sensor seems frozen, and "
     "these frames are not tracked (stage drop_motionless)."
 )
 

@@ -68,8 +68,8 @@ class ChooseFacing:
                 span = slice(max(0, int(low)), min(len(segment), int(high)))
                 segment = self._turned(run, segment, looks, span, at)
         odds = looks.odds(run.body, segment)
-        for start, end in (*stretches(odds < 0), *stretches(odds >= 0)):  # looks at one body tell nearly the same
-            odds[start:end] = odds[start:end].mean()
+        alone = odds < -1 / TURNED  # it would have turned the body; the others look at one that faces one way
+        odds[~alone] = odds[~alone].sum() / max(np.sum(~alone), 1)
         return _with_odds(segment, np.interp(np.arange(len(segment)), looks.frame, odds))
 
     def _cheaper(self, run: Runner, segment: Followed) -> Followed:
