@@ -8,8 +8,8 @@ All these recordings show people without objects near them. A body that was fitt
 the wrong way, is as smooth and as near to its points. So there are two more factors. One is whether the body fits
 (misfits: points beside limbs, limbs without points, limbs inside others, joints bent too far, passes that differed,
 limbs whose points another limb explains as well). The other is whether it faces the right way, with the odds of the
-learned eye as they are: of 102 logs they are calibrated (a factor of 1 to 1.2 on the mean is best), whole people and trunks
-alone, which were back to front in 6 of 26 with mean odds of 2 at most.
+learned eye as they are: of 102 logs, of whole people and of trunks alone, they are calibrated (a factor of 1 to 1.2 on
+their mean is best). Six of 26 trunks were back to front, with mean odds of 2 at most.
 """
 
 from typing import NamedTuple
