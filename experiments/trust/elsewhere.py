@@ -1,6 +1,6 @@
 """Numbers of trackers/shared/confidence.py for logs of all kinds, and what they are worth for a kind left out.
 
-python -m experiments.trust.elsewhere KIND=FOLDER ... tracks logs of several kinds, fits FITS, SURELY and LESS_SURE on
+python -m experiments.trust.elsewhere KIND=FOLDER ... tracks logs of several kinds, fits FITS on
 all kinds but one, with THERE_AND_BACK as it is, and compares what they say with what is right in that one. A folder
 holds *.mcap with *.truth.npz beside them; of a log without a truth every joint counts as wrong, as of one in which
 nobody is, so leave those out that are not known.
@@ -28,19 +28,16 @@ from voodoo_jax.trackers.shared.confidence import (
     FITS,
     LEAST_DISTANCE,
     LEAST_SHARE,
-    LESS_SURE,
     MISFITS,
-    SURELY,
     THERE_AND_BACK,
     averages_of,
     clues,
-    ill_fit,
     misfits,
 )
 
 # what kinds count; the others 1. Each log of a kind counts alike
 COUNTS = {"recordings": 60.0, "controls": 10.0, "people": 10.0, "stress": 3.0, "nobody": 3.0, "real": 3.0}
-SUREST, FAR = 40.0, 9.0  # SURELY at most; odds beyond which nothing changes
+FAR = 9.0  # odds beyond which nothing changes
 WEAKER = 3e-5  # weight of the squared slopes
 # misfits of a body that fits
 NOTHING = np.array([np.log(LEAST_SHARE), 0.0, np.log(LEAST_DISTANCE), *np.zeros(len(MISFITS) - 3)])
@@ -66,7 +63,6 @@ class Told(NamedTuple):
     kind: str
     clues: np.ndarray  # [joint, clue]
     misfits: np.ndarray  # [joint, misfit], above NOTHING
-    ill: np.ndarray  # [joint, 2] of ill_fit
     odds: np.ndarray  # [joint] of facing; infinite where it makes no difference
     close: np.ndarray  # [joint] bool
 
@@ -76,7 +72,6 @@ class Numbers(NamedTuple):
 
     plain: np.ndarray  # constant and slopes of clues
     fits: np.ndarray  # constant, and logarithms (softplus) of minus the slopes of misfits
-    facing: np.ndarray  # logarithm of SURELY, and softplus of minus LESS_SURE
 
 
 def work(job: Job) -> Told | None:
@@ -106,10 +101,9 @@ def told_of(kind: str, tracks: vj.Tracks, use: np.ndarray, columns: list[int], c
     draw = np.random.default_rng(0).permutation(len(use))[:FRAMES]
     use, close = use[draw], close[draw]
     fit = misfits(tracks, averages_of(tracks))
-    ill = np.repeat(ill_fit(fit)[use][:, None], len(columns), 1)
     clue, misfit, odds = clues(tracks)[use][:, columns], fit[use][:, columns] - NOTHING, facing(tracks)[use][:, columns]
     good = np.isfinite(clue).all(-1) & np.isfinite(misfit).all(-1)
-    return Told(kind, clue[good], misfit[good], ill[good], odds[good], close[good]) if good.any() else None
+    return Told(kind, clue[good], misfit[good], odds[good], close[good]) if good.any() else None
 
 
 def facing(tracks: vj.Tracks) -> np.ndarray:
@@ -130,8 +124,7 @@ def said(n: Any, told: Any) -> Any:
     plain = jax.nn.log_sigmoid(n.plain[0] + told["clues"] @ n.plain[1:])
     fits = jax.nn.log_sigmoid(n.fits[0] - told["misfits"] @ jax.nn.softplus(n.fits[1:]))
     sides = told["odds"] <= FAR
-    surely = jnp.exp(n.facing[0] - told["ill"] @ jax.nn.softplus(n.facing[1:]))
-    return plain + fits + jnp.where(sides, jax.nn.log_sigmoid(surely * jnp.where(sides, told["odds"], 0.0)), 0.0)
+    return plain + fits + jnp.where(sides, jax.nn.log_sigmoid(jnp.where(sides, told["odds"], 0.0)), 0.0)
 
 
 def together(told: list[Told]) -> dict[str, Any]:
@@ -156,32 +149,28 @@ def fitted(told: list[Told]) -> Numbers:
     n = Numbers(
         np.r_[THERE_AND_BACK.constant, THERE_AND_BACK.slopes],
         np.r_[FITS.constant + np.array(FITS.slopes) @ NOTHING, inverse(FITS.slopes)],
-        np.r_[np.log(SURELY), inverse(LESS_SURE)],
     )
-    count = len(n.fits)
 
     def cost(v: Any) -> Any:
-        slopes = jax.nn.softplus(jnp.concatenate([v[1:count], v[count + 1 :]]))
-        return unlikely(n._replace(fits=v[:count], facing=v[count:]), every) + WEAKER * slopes @ slopes
+        slopes = jax.nn.softplus(v[1:])
+        return unlikely(n._replace(fits=v), every) + WEAKER * slopes @ slopes
 
     slope = jax.jit(jax.value_and_grad(cost))
     pair = lambda v: tuple(np.asarray(x, float) for x in slope(v))  # noqa: E731
-    bounds = [(None, None), *[(-8.0, None)] * len(MISFITS), (np.log(3.0), np.log(SUREST)), *[(-8.0, None)] * 2]
-    begin, options = np.r_[n.fits, n.facing], {"maxiter": 150}
+    bounds = [(None, None), *[(-8.0, None)] * len(MISFITS)]
+    begin, options = n.fits.copy(), {"maxiter": 150}
     for name, least in AT_LEAST.items():
         at = 1 + MISFITS.index(name)
         bounds[at] = (float(inverse([-least])[0]), None)
         begin[at] = max(begin[at], bounds[at][0])
-    v = minimize(pair, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
-    return n._replace(fits=v[:count], facing=v[count:])
+    return n._replace(fits=minimize(pair, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)
 
 
 def as_written(n: Numbers) -> str:
     """The numbers as confidence.py has them."""
-    slopes, less = (-np.log1p(np.exp(each[1:])) for each in (n.fits, n.facing))
+    slopes = -np.log1p(np.exp(n.fits[1:]))
     constant, each = float(n.fits[0] - slopes @ NOTHING), ", ".join(f"{x:.3f}" for x in slopes)
-    surely = f"{np.exp(n.facing[0]):.1f}, ({', '.join(f'{x:.2f}' for x in less)})"
-    return f"FITS = Trust({constant:.3f}, ({each}))\nSURELY, LESS_SURE = {surely}"
+    return f"FITS = Trust({constant:.3f}, ({each}))"
 
 
 def probabilities(n: Numbers, told: Told) -> np.ndarray:

@@ -15,20 +15,36 @@ from voodoo_jax.records.scene import Scene
 STAGE = DropMotionless()
 
 
-def dropped(frames) -> tuple[bool, tuple[str, ...]]:
-    """Whether nothing is left, and what is said."""
+def left_of(frames) -> tuple[list[bool], tuple[str, ...]]:
+    """In which frames something is left, and what is said."""
     target = SimpleNamespace(
         finder=SimpleNamespace(scene=Scene(FLOOR, (), True), lies=False), settings=None, stillness=Stillness()
     )
     left = list(STAGE(iter(frames), target))
     assert len(left) == len(frames) and [f.time_ns for f in left] == [f.time_ns for f in frames]
-    return not any(len(f.points) for f in left), target.finder.scene.notes
+    return [len(f.points) > 0 for f in left], target.finder.scene.notes
+
+
+def dropped(frames) -> tuple[bool, tuple[str, ...]]:
+    """Whether nothing is left, and what is said."""
+    left, notes = left_of(frames)
+    return not any(left), notes
 
 
 @pytest.mark.parametrize("moving, gone", [(0.0, True), (0.006, False), (0.3, False)])
 def test_what_never_moves_goes_and_who_sways_stays(rng, moving, gone):
     frames = watched(rng, [(block(0.45, 0.1, 1.75), sway(moving))])
     assert dropped(frames) == (gone, (NOTE,) if gone else ())
+
+
+@pytest.mark.parametrize("moving, kept", [(0.0, 40), (0.006, 80)])
+def test_who_moves_no_more_than_noise_from_some_frame_on_is_frozen(rng, moving, kept):
+    before, after = (watched(rng, [(block(0.45, 0.1, 1.75), sway(by))]) for by in (0.1, moving))
+    step = before[1].time_ns - before[0].time_ns
+    frames = [replace(f, time_ns=k * step) for k, f in enumerate([*before, *after])]
+    left, notes = left_of(frames)
+    assert abs(sum(left) - kept) <= 2 and left == sorted(left, reverse=True)
+    assert len(notes) == (kept < 80) and NOTE not in notes
 
 
 def test_noise_alone_is_seldom_taken_for_motion(rng):

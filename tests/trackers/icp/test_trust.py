@@ -18,12 +18,9 @@ from voodoo_jax.trackers.shared.confidence import (
     THERE_AND_BACK,
     UNMARKED,
     averaged,
-    averages_of,
     clues,
     facing_right,
-    ill_fit,
     joint_confidence,
-    misfits,
     probability,
 )
 
@@ -189,27 +186,14 @@ def test_misfit_is_averaged_over_a_second_and_online_over_what_was_before():
 
 
 def test_who_may_face_the_other_way_is_not_trusted_but_for_joints_in_the_middle():
-    odds = np.array([np.nan, 0.0, np.nan, 2.0, np.nan, np.nan], np.float32)
-    unknown = ill_fit(np.full((6, CENTRES, 4), np.nan))
-    right = facing_right(good_tracks().having(facing_odds=odds), unknown)
+    odds = np.array([np.nan, 0.0, np.nan, 5.0, np.nan, np.nan], np.float32)
+    right = facing_right(good_tracks().having(facing_odds=odds))
     sides = np.array([name[:2] in ("l_", "r_") for name in TOPOLOGY.centres])
     np.testing.assert_allclose(right[:3][:, sides], 0.5)  # the next answer, and the last one
     assert (right[3:][:, sides] > 0.99).all() and (right[:, ~sides] == 1).all() and (~sides).sum() == 2
-    assert (facing_right(good_tracks(), unknown) == 1).all()
+    assert (facing_right(good_tracks()) == 1).all()
     doubtful = joint_confidence(fitting().having(facing_odds=odds))
     assert (doubtful[1, sides] < 0.51).all() and (doubtful[1, ~sides] > 0.9).all()
-
-
-@pytest.mark.parametrize("worse", ["limb_beside", "limb_bare"])
-def test_odds_of_facing_tell_little_of_a_body_that_fits_badly(worse):
-    odds = {"facing_odds": np.full(6, 0.2, np.float32)}
-    fine = fitting().having(**odds)
-    badly = fine.having(**{worse: np.full((6, LIMBS), 0.3, np.float32)})
-    good, bad = (facing_right(tracks, ill_fit(misfits(tracks, averages_of(tracks)))) for tracks in (fine, badly))
-    sides = np.array([name[:2] in ("l_", "r_") for name in TOPOLOGY.centres])
-    assert (good[:, sides] > 0.95).all() and (bad[:, sides] > 0.5).all()
-    assert (bad[:, sides] < (0.8 if worse == "limb_beside" else good[:, sides] - 0.002)).all()
-    assert (bad[:, ~sides] == 1).all()
 
 
 @pytest.mark.parametrize("frames", [0, 1])

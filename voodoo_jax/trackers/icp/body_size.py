@@ -10,7 +10,7 @@ from voodoo_jax.model.body import Body, rest_height, scaled
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
-# logarithms of the odds for each of a logarithm of costs: as the odds of facing had once (confidence.SURELY), fitted in
+# logarithms of the odds for each of a logarithm of costs: as the odds of facing had when they were of costs, fitted in
 # experiments/trust
 TELLS = 19.0
 # share of people who are children, and metres between which all statures of children are alike: medians of girls at one

@@ -13,6 +13,7 @@ from voodoo_jax.model.body import Body, rest_height
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.solve.scan import State, at_rest
+from voodoo_jax.trackers.icp.body_size import TELLS
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import pass_of, tracked_anew
@@ -23,9 +24,6 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS
 from voodoo_jax.trackers.shared.segment import Followed, segment_of
 
 EVERY = 16  # frames from one look to the next: measured, tracks with 4 and 8 are 0.02 cm better (experiments/eye)
-# logarithm of the odds that a segment faces the right way before the eye is asked: of 360 starts midway one did not
-# (experiments/eye)
-MOSTLY = 5.9
 
 
 class Looks(NamedTuple):
@@ -71,7 +69,9 @@ class ChooseFacing:
                 low, high = looks.frame[start] - 2 * EVERY, looks.frame[end - 1] + 2 * EVERY
                 span = slice(max(0, int(low)), min(len(segment), int(high)))
                 segment = self._turned(run, segment, looks, span, at)
-        odds = TURNED * (MOSTLY + looks.odds(run.body, segment))
+        odds = looks.odds(run.body, segment)
+        alone = odds < -1 / TURNED  # it would have turned the body; the others look at one that faces one way
+        odds[~alone] = odds[~alone].sum() / max(np.sum(~alone), 1)
         return _with_odds(segment, np.interp(np.arange(len(segment)), looks.frame, odds))
 
     def so_far(self, run: Runner, segment: Followed) -> tuple[Followed, State | None]:
@@ -93,8 +93,8 @@ class ChooseFacing:
         """Odds of a frame, tracked from what the eye sees there if that is better, the frame, and then the state after
         it."""
         body, at = on_host(run.body), row.first
-        odds = lambda row: TURNED * (MOSTLY + float(np.vdot(facing(body, row.rotation)[0], person.front)))  # noqa: E731
-        if odds(row) >= TURNED * MOSTLY - 1 or (pose := poses_of(run.body, person)) is None:
+        odds = lambda row: float(np.vdot(facing(body, row.rotation)[0], person.front))  # noqa: E731
+        if odds(row) >= -1 / TURNED or (pose := poses_of(run.body, person)) is None:
             return odds(row), row, None
         frames = run.frames(at, at + 1)
         tried = run.trials(run.body, frames, [pose, *standing_places(body, frames, run.scene.floor, 1, person.front)])
@@ -115,7 +115,7 @@ class ChooseFacing:
         other = self.passes(run, segment_of(run, step, segment.first, len(segment)))
         odds = self._rate(run, segment.start, segment) - self._rate(run, start, other)
         better = segment if odds >= 0 else replace(other, start=start, state=state)
-        return _with_odds(better, np.full(len(better), abs(odds)))
+        return _with_odds(better, np.full(len(better), TELLS * abs(odds)))
 
     def _rate(self, run: Runner, start: StartHypothesis, segment: Segment) -> float:
         """Logarithm of the odds of a facing: by the cost of the start, by that of all frames, since a few hardly
