@@ -86,12 +86,6 @@ def test_flags_that_programs_settle_themselves_make_no_others(first):
     assert answer(start(first[0], flags="--xla_cpu_enable_fast_min_max=true"))[0] == "1"
 
 
-def test_more_devices_make_no_others(first):
-    """A worker that runs two programs at once has two devices (run_at_once), others have one."""
-    code = "from voodoo_jax.compile.xla_options import run_at_once\nrun_at_once(2)\n" + CHILD
-    assert answer(start(first[0], code=code)) == ["0", *first[1][1:]]
-
-
 def test_spoiled_entries_are_made_anew(first):
     folder, said, _ = first
     for entry in entries(folder):

@@ -23,10 +23,7 @@ def serve(source: int, target: int) -> None:
         do_job,  # before the other thread: two threads must not import one package at once
     )
     from voodoo_jax.compile.cache_dir import leave_compile_cache
-    from voodoo_jax.compile.xla_options import run_at_once
-    from voodoo_jax.storage.cores import own_cores
 
-    run_at_once(own_cores())
     gc.freeze()
     gc.enable()
 

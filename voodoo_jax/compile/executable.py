@@ -33,7 +33,7 @@ Made = tuple[Run, Any]  # an executable, and the structure of what it returns
 LIBRARIES = ("jax", "jaxlib", "equinox", "optimistix")  # whose code is traced too
 # what else a trace depends on
 CONTEXT = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans",
-           "jax_debug_infs", "jax_disable_jit", "jax_default_device")  # fmt: skip
+           "jax_debug_infs", "jax_disable_jit", "jax_default_device", "jax_num_cpu_devices")  # fmt: skip
 _all: list["Program"] = []
 
 
@@ -225,4 +225,4 @@ def _surroundings() -> tuple[str, ...]:
     settled = tuple(f"--{name}=" for name in OPTIONS.get(device.platform, {}))
     flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(settled)]
     flags.append(os.environ.get("LIBTPU_INIT_ARGS", ""))
-    return (*libraries, device.platform, device.device_kind, *flags, repr(OPTIONS))
+    return (*libraries, device.platform, device.device_kind, str(len(jax.devices())), *flags, repr(OPTIONS))

@@ -9,8 +9,6 @@ import equinox as eqx
 import jax
 
 Options = dict[str, str | bool]
-# programs at most. Measured on two cores: with 4 devices each takes as long as with 2, with 16 half as much again
-AT_ONCE = 4
 # XLA's names. Its older way to write fused loops is done sooner; with vectors as wide as the processor has them (XLA
 # would take half of that) they run no slower than the newer ones.
 OPTIONS: dict[str, Options] = {
@@ -35,15 +33,6 @@ def one_by_one(function: Callable[[Any], Any], leading: Any, batch: int) -> Any:
     if jax.default_backend() == "cpu":
         return jax.lax.map(function, leading)
     return jax.lax.map(function, leading, batch_size=batch)
-
-
-def run_at_once(count: int) -> None:
-    """Lets this process run `count` programs on a CPU at the same time, or AT_ONCE; call it before a device is opened.
-
-    XLA has as many threads for programs as there are devices. Threads for the parts of one program (PJRT_NPROC, see
-    batch.worker_start) make each slower. Measured: one program takes 0.36 s, two at once 0.40 s; with PJRT_NPROC 2
-    instead they take 0.44 and 0.46 s."""
-    jax.config.update("jax_num_cpu_devices", min(count, AT_ONCE))
 
 
 @cache
