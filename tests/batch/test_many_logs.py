@@ -303,7 +303,10 @@ def test_workers_of_the_command_are_copies_of_it_and_are_replaced_where_they_die
         for pid in first:
             os.kill(pid, signal.SIGKILL)
         wait_for(lambda: len({*children(running.pid)} - {*first}) == 2 or running.poll() is not None)
-        seen = {command_of(pid) for pid in children(running.pid) if pid not in first}
+        new = lambda: {command_of(pid) for pid in children(running.pid) if pid not in first}  # noqa: E731
+        # a process that was made a moment ago has its parent's command still
+        wait_for(lambda: any("worker_process" in command for command in new()) or running.poll() is not None)
+        seen = new()
         printed, errors = running.communicate(timeout=100)
     assert running.returncode == 1 and "4 of 6 logs tracked" in printed, errors
     assert printed.count("SIGKILL") == 2 and any("worker_process" in command for command in seen)
