@@ -20,6 +20,8 @@ from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import TrackSettings
 from voodoo_jax.solve.padding import pad_frames
 from voodoo_jax.solve.scan import NOBODY, Visits, at_rest, options_from, track_visits
+from voodoo_jax.storage import cores
+from voodoo_jax.trackers.shared import sequence
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +46,18 @@ def test_each_gets_what_it_gets_alone(recordings):
             assert one.tracked.any()
             assert_equal_tracks(one, other)
     assert lanes.program_of(False)._cached._cache_size() - programs <= 2  # with one lane, and with two
+
+
+def test_spans_of_a_recording_ask_one_after_the_other(recordings, monkeypatch):
+    """Members of a batch answer each other's requests in turns: a span that is refined aside would get the answer of
+    the next one."""
+    monkeypatch.setattr(sequence, "SPAN", 8)
+    monkeypatch.setattr(sequence, "OVERLAP", 2)
+    monkeypatch.setattr(cores, "own_cores", lambda: 2)
+    settings = replace(SETTINGS, track=replace(SETTINGS.track, chunk=8, skip=()))
+    body, some = small_body(), recordings[1:]
+    for one, recording in zip(vj.track_many(body, some, settings, lanes=2), some):
+        assert_equal_tracks(one, vj.track(body, recording, settings))
 
 
 def test_one_recording_with_many_settings_and_bodies(recordings):

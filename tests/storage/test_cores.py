@@ -60,3 +60,18 @@ def test_what_work_that_is_begun_raises_is_raised(monkeypatch, count):
     monkeypatch.setattr(cores, "own_cores", lambda: count)
     with pytest.raises(ZeroDivisionError):
         cores.begun(divmod, 1, 0)()
+
+
+def test_who_takes_turns_works_in_its_own_thread(monkeypatch):
+    monkeypatch.setattr(cores, "own_cores", lambda: 3)
+    found = []
+
+    def work() -> None:
+        cores.take_turns()
+        found.append({threading.get_ident(), cores.begun(threading.get_ident)()})
+        found[0].update(cores.at_once(lambda _: threading.get_ident(), range(5)))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert len(found[0]) == 1 and cores.begun(threading.get_ident)() != threading.get_ident()  # only that thread

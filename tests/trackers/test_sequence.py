@@ -29,7 +29,7 @@ class Counting(FrameRunner):
     def __init__(self):
         self.settings, self.people = Settings(), [None] * FRAMES
         self.others, self.named, self.featured = [], np.zeros(FRAMES, bool), np.zeros(FRAMES, bool)
-        self.tracked, self.doubt = 0, False
+        self.doubt = False
 
     def can_start(self, at):
         return True
@@ -39,7 +39,6 @@ class Counting(FrameRunner):
 
     def chunk(self, state, at, most):
         count = min(most, 4, FRAMES - at)
-        self.tracked += count
         place = state.poses.translation[0, 0] + 1 + np.arange(count, dtype=np.float32)
         translation = np.stack([place, 0 * place, 0 * place], -1)[:, None]
         zero, one = np.zeros(count, np.float32), np.ones((count, 1), np.float32)

@@ -35,6 +35,7 @@ from voodoo_jax.solve.scan import (
     track_frame,
     track_visits,
 )
+from voodoo_jax.storage.cores import take_turns
 
 T = TypeVar("T")
 Ask = Callable[..., Any]  # waits for the answer
@@ -99,6 +100,7 @@ class _Member(Generic[T]):
         self._answers.put((False, None))
 
     def _run(self) -> None:
+        take_turns()
         try:
             self._next()
             self.result = self._task(self._ask)

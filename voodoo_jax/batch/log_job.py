@@ -94,7 +94,7 @@ def track_log(
             progress(min(1.0, done / total))
 
     def counted() -> Iterable:
-        # several workers share the cores already
+        # in another thread where that pays; several workers share the cores already
         for frame in ahead(log.frames(), AHEAD) if own_cores() > 1 and log.unpacks else log.frames():
             more(1)
             yield frame

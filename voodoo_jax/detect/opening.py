@@ -55,6 +55,7 @@ class Surface(NamedTuple):
     eyes: Float64[np.ndarray, "point 3"]  # the sensor's place
 
     def under(self, T: Float[np.ndarray, "4 4"]) -> "Surface":
+        """The surface and its sensor, moved by a transform."""
         return Surface(moved(self.points, T), self.normals @ T[:3, :3].T, moved(self.eyes, T))
 
     def seen_through(self, other: "Surface") -> float:

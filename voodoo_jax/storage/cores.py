@@ -5,13 +5,14 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
+from contextvars import ContextVar, copy_context
 from pathlib import Path
 from threading import Thread
 from typing import Any, TypeVar, cast
 
 T = TypeVar("T")
 R = TypeVar("R")
+_takes_turns: ContextVar[bool] = ContextVar("_takes_turns", default=False)
 
 
 def ahead(items: Iterable[T], count: int) -> Iterator[T]:
@@ -33,7 +34,7 @@ def ahead(items: Iterable[T], count: int) -> Iterator[T]:
 def at_once(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
     """Results of `work` for each item, in order, by as many threads as this process has cores. Raises the exception of
     the first item that fails. The caller's limits hold in the threads."""
-    count = min(own_cores(), len(items))
+    count = min(_threads(), len(items))
     if count < 2:
         return [work(item) for item in items]
     waiting, made, errors = deque(range(len(items))), dict[int, R](), dict[int, BaseException]()
@@ -58,15 +59,26 @@ def at_once(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
 
 
 def begun(work: Callable[..., R], *given: Any) -> Callable[[], R]:
-    """Begins some work in another thread, with the caller's limits, and returns what waits for its result; it is done
-    at once if this process has one core."""
-    if own_cores() < 2:
+    """Begins some work in another thread, with the caller's limits, and returns what waits for its result. The work is
+    done at once if this process has one core."""
+    if _threads() < 2:
         made = work(*given)
         return lambda: made
     pool = ThreadPoolExecutor(1)
     future = pool.submit(copy_context().run, work, *given)
     pool.shutdown(wait=False)
     return future.result
+
+
+def take_turns() -> None:
+    """Keeps what this thread does from now on in this thread: others are answered between its requests, in an order
+    that threads of its own would break."""
+    _takes_turns.set(True)
+
+
+def _threads() -> int:
+    """Threads over which work may be spread."""
+    return 1 if _takes_turns.get() else own_cores()
 
 
 def usable_cores() -> int:

@@ -46,7 +46,7 @@ class Beside:
             off = tracks.joints[frame[there] + delay][:, mine] - reference[there]
             off = off[np.isfinite(off).all((1, 2))]
             away = [KDTree(recording.frames[frame[k] + delay].points).query(wrists[k])[0].mean() for k in fast]
-            if len(off) >= 0.8 * there.sum():
+            if len(off) >= 0.8 * (len(known.stamps) - delay):
                 sizes = [np.linalg.norm(x, axis=-1).mean() for x in (off, off - np.median(off, 0))]
                 found[delay] = 100 * np.array([np.mean(away) if away else np.nan, *sizes])
         return found

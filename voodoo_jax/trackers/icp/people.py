@@ -199,21 +199,19 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
     if shares:
         subjects = with_own_features(subjects)
     begins = [in_view_from(s) if several else 0 for s in subjects]
-    # recordings that are one batch wait for each other
-    each = at_once if visit is None else lambda work, some: [work(one) for one in some]
-    people = each(lambda work: track_poses(task, *work), list(zip(subjects, begins)))
+    people = at_once(lambda work: track_poses(task, *work), list(zip(subjects, begins)))
     if shares and not settings.changes:
-        seen = each(lambda one: with_rating(one.run, one.tracks), people)
+        seen = at_once(lambda one: with_rating(one.run, one.tracks), people)
         touching = touching_in(subjects, seen, close_in(seen))
         frames = owned_in_turn(subjects, seen, touching, settings, AROUND, visit)
         anew = np.flatnonzero(_exchanged(subjects, frames)).tolist()
         subjects = [replace(s, frames=own) for s, own in zip(subjects, frames)]
         silent = replace(task, progress=None)
-        now = each(lambda s: track_poses(silent, s, in_view_from(s)), [subjects[k] for k in anew])
+        now = at_once(lambda s: track_poses(silent, s, in_view_from(s)), [subjects[k] for k in anew])
         for k, one in zip(anew, now):  # with the time of both passes
             both = one.tracks.seconds + people[k].tracks.seconds
             people[k] = one._replace(tracks=replace(one.tracks, seconds=both))
-    found = each(placed, people)
+    found = at_once(placed, people)
     if several:
         found = [replace(t, status=_doubted(s, t.status)) for s, t in zip(subjects, found)]
     images = reflected(subjects, found) if shares else {}

@@ -26,9 +26,9 @@ class CausalStage(Named, Protocol):
     def so_far(self, run: Runner, segment: Followed) -> tuple[Followed, State | None]: ...
 
 
-def is_active(run: Runner, stage: Named) -> bool:
-    """Whether a stage is switched on and has its inputs."""
-    skipped = run.settings.skips("track", stage.name, stage.looks_ahead)
+def is_active(run: Runner, stage: Named, causal: bool = False) -> bool:
+    """Whether a stage, or its causal form, is switched on and has its inputs."""
+    skipped = run.settings.skips("track", stage.name, stage.looks_ahead and not causal)
     return not skipped and stage.needs <= run.offers
 
 
@@ -43,7 +43,6 @@ def refined(run: Runner, segment: Followed, stages: Iterable[Stage]) -> Followed
 def looked(run: Runner, segment: Followed, stages: Iterable[Stage]) -> tuple[Followed, State | None]:
     """Frames that were just tracked, after the stage that corrects them by earlier ones: see Method.looked."""
     for stage in stages:
-        off = run.settings.skips("track", stage.name, False) or not stage.needs <= run.offers
-        if isinstance(stage, CausalStage) and not off:
+        if isinstance(stage, CausalStage) and is_active(run, stage, causal=True):
             return stage.so_far(run, segment)
     return segment, None

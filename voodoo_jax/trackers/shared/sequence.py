@@ -22,7 +22,7 @@ from voodoo_jax.trackers.shared.segment import Followed, Start, segment_of
 
 Progress = Callable[[int], None]
 SPAN = 512  # frames after which a segment is tracked back, even if it goes on
-MOST = 2  # spans whose refinement may wait while others are tracked: two cores are busy with as many
+MOST = 2  # spans whose refinement may wait while others are tracked: as many keep two cores busy
 DOUBT = 15  # frames after which a start that is in doubt is compared with another one, if nothing later is looked at
 OVERLAP = 30  # frames of a span that the next one goes back over: a pass is not good before it has settled
 
